@@ -32,24 +32,6 @@ from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.matrix import create_torn_matrix
 
-__all__ = [
-    "LocalMatrix",
-    "SplitForm",
-    "assemble",
-    "assemble_owned",
-    "assemble_vector",
-    "create_csr",
-    "create_local_matrix",
-    "create_matis",
-    "dirichlet_mask",
-    "dolfinx_form",
-    "integrate",
-    "prescribe",
-    "require_no_coupling",
-    "split_form",
-    "torn_form",
-]
-
 #: Rows of dofs and not of blocks, as PETSc has them.
 EXPANDED = dolfinx.la.BlockMode.expanded  # type: ignore[attr-defined]
 

@@ -15,8 +15,6 @@ import basix
 import dolfinx
 import ufl
 
-__all__ = ["check_condensed", "check_forms", "check_scalar_type", "check_space"]
-
 
 def check_scalar_type() -> None:
     """Require a PETSc with real numbers in double precision.

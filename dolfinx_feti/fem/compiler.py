@@ -20,8 +20,6 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.native import announced
 
-__all__ = ["Compiler"]
-
 T = TypeVar("T")
 
 

@@ -29,9 +29,6 @@ from dolfinx_feti.fem.tensors import CellTensors
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.native import load, pointer
 
-__all__ = ["Blocks", "Condensation"]
-
-
 #: Local steps in which fields with a nonlinear equation of their own come to satisfy it.
 LOCAL_STEPS = 20
 

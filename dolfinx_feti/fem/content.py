@@ -13,9 +13,6 @@ from functools import cached_property
 import dolfinx
 import ufl
 
-__all__ = ["Content", "content_of"]
-
-
 #: UFL sorts Constants by the texts of their numbers: from here on all have as many digits.
 LARGE = 10**9
 

@@ -28,9 +28,6 @@ from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Numbers
 from dolfinx_feti.runtime.events import event
 
-__all__ = ["Decomposition", "TornSpace", "cell_sizes", "decompose", "suggested_number", "tear"]
-
-
 #: Dofs of a subdomain where the user gives no number, measured in ``docs/results/subdomains.md``.
 DOFS = 2000
 

@@ -16,8 +16,6 @@ import numpy.typing as npt
 import basix
 import basix.ufl
 
-__all__ = ["quadratic_with_bubbles"]
-
 Floats = npt.NDArray[np.floating]
 
 

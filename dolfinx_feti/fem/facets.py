@@ -17,8 +17,6 @@ import dolfinx
 
 from dolfinx_feti.runtime.arrays import Indices, Integers
 
-__all__ = ["one_side"]
-
 
 def one_side(mesh: dolfinx.mesh.Mesh, facets: Integers) -> Indices:
     """Return a cell next to each facet, for integrals over surfaces inside of the mesh.

@@ -26,8 +26,6 @@ from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.compat import interpolation_points
 
-__all__ = ["InternalVariables", "create_internal_variables"]
-
 
 @dataclass(frozen=True, slots=True)
 class InternalVariables:

@@ -18,9 +18,6 @@ import dolfinx
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.torn.matrix import set_near_kernel
 
-__all__ = ["attach_near_kernel"]
-
-
 #: Error of a dof of the constant 1.
 ROUNDING = 1e-12
 

@@ -21,8 +21,6 @@ from dolfinx_feti.fem.quadrature import quadrature_points
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.compat import geometry_dofmap
 
-__all__ = ["Nodes", "diameter"]
-
 
 def diameter(mesh: dolfinx.mesh.Mesh) -> float:
     """Return the diagonal of the box around the nodes of a mesh. Collective."""

@@ -19,8 +19,6 @@ import ufl
 from dolfinx_feti.fem.kernels.kernel import Kernel, create_kernels
 from dolfinx_feti.runtime.arrays import Indices
 
-__all__ = ["compile_cells"]
-
 
 def compile_cells(
     forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh

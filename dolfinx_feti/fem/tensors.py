@@ -19,8 +19,6 @@ from dolfinx_feti.fem.regions import compile_cells
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["CellTensors"]
-
 
 class CellTensors:
     """Linear and bilinear forms whose cells are integrated in one visit."""

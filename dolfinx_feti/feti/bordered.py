@@ -31,8 +31,6 @@ from dolfinx_feti.runtime.collective import on_all, total_of
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn, prescribed_dofs
 
-__all__ = ["Border", "BorderedSolver", "solved"]
-
 Reason = PETSc.KSP.ConvergedReason
 
 #: Corrections of X at most; the first one often is the last. The share of B that X may leave

@@ -38,8 +38,6 @@ from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import State, state_of
 
-__all__ = ["Form", "Lasting"]
-
 Reason = PETSc.KSP.ConvergedReason
 
 #: The method, set up for one matrix.

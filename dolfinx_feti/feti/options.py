@@ -17,8 +17,6 @@ from typing import Any, Literal, get_args, get_type_hints
 
 from petsc4py import PETSc
 
-__all__ = ["CHOICES", "FETIOptions", "asks_for_dual", "check_outer_options", "read_options"]
-
 #: Prefixes of the Krylov method for (λ, s), the factors of K_ρ and K_II, and the solver of N or A₀.
 SUBSOLVERS = {
     "dual_": ("ksp_",),

@@ -23,8 +23,6 @@ from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Pattern", "create_pattern", "symmetric_part"]
-
 
 @dataclass(frozen=True, slots=True)
 class Pattern:

@@ -17,8 +17,6 @@ from dolfinx_feti.feti.primal.form import PrimalForm
 from dolfinx_feti.feti.setup import Inertia
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 
-__all__ = ["Report", "collect", "table"]
-
 
 @dataclass(frozen=True, slots=True)
 class Report:

@@ -29,8 +29,6 @@ from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Inertia", "Setup", "refined", "set_up", "set_up_operator", "sum_if_known"]
-
 
 @dataclass(frozen=True, slots=True)
 class Inertia:

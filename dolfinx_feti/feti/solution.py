@@ -17,17 +17,6 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_errors import python_errors
 
-__all__ = [
-    "CURVATURE",
-    "RESTART",
-    "STAGNATION",
-    "Monitor",
-    "RitzVectors",
-    "Solution",
-    "outer_monitor",
-]
-
-
 #: Called with (iteration, norm of the residual of the assembled system).
 Monitor = Callable[[int, float], None]
 

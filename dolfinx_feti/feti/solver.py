@@ -33,8 +33,6 @@ from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.null_space import take_out
 from dolfinx_feti.torn.rounding import residual_rounding
 
-__all__ = ["FETI", "VIEW_ONCE"]
-
 Reason = PETSc.KSP.ConvergedReason
 logger = logging.getLogger("dolfinx_feti")
 

@@ -8,8 +8,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Array", "Indices", "Integers", "Mask", "Numbers", "Single"]
-
 Array = npt.NDArray[np.float64]
 Single = npt.NDArray[np.float32]
 

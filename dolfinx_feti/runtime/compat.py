@@ -18,20 +18,6 @@ import dolfinx
 
 from dolfinx_feti.runtime.arrays import Array, Indices, Integers
 
-__all__ = [
-    "adjacency",
-    "create_function_space",
-    "facet_graph",
-    "geometry_degree",
-    "geometry_dofmap",
-    "has_vertex_integrals",
-    "interpolation_points",
-    "package_version",
-    "repeat_partitions",
-    "residual_is_nan",
-]
-
-
 #: One thread; methods whose result does not depend on the order of messages.
 SCOTCH = ("SCOTCH_PTHREAD_NUMBER", "SCOTCH_DETERMINISTIC")
 

@@ -16,16 +16,6 @@ from dolfinx_feti.runtime.arrays import Indices
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.petsc_library import Rows, rows_of
 
-__all__ = [
-    "block_graph",
-    "connected_blocks",
-    "copy_forest",
-    "diagonal_places",
-    "has_joined_copies",
-    "is_symmetric",
-]
-
-
 #: What assembly and condensation may take from the symmetry of a matrix, entry by entry: with κ/μ
 #: of 10⁶ it is up to 7e-12 (P2) and 3e-13 (P2–P0).
 ROUNDING = 1e-10

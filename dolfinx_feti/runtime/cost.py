@@ -21,8 +21,6 @@ from petsc4py import PETSc
 
 import numpy as np
 
-__all__ = ["Cost", "PeakMemory", "measure", "timed_solve"]
-
 PROC = Path("/proc/self")
 
 

@@ -10,8 +10,6 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
-__all__ = ["event", "seconds_of"]
-
 
 @contextmanager
 def event(name: str) -> Iterator[None]:

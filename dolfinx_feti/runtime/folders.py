@@ -13,8 +13,6 @@ from mpi4py import MPI
 
 from dolfinx_feti.runtime.collective import on_first, reason
 
-__all__ = ["try_to_write", "writable_folder"]
-
 
 def writable_folder(path: Path | str, comm: MPI.Comm) -> Path:
     """Create a folder, with its parents, and check that a file can be written in it. Collective.

@@ -8,8 +8,6 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import Any, TypeVar
 
-__all__ = ["Lifetime"]
-
 T = TypeVar("T", bound=Any)
 
 

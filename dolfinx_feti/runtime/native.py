@@ -39,8 +39,6 @@ from scipy.linalg import cython_blas, cython_lapack
 
 from dolfinx_feti.runtime.collective import on_all, reason
 
-__all__ = ["address_of", "announced", "load", "pointer", "processor_flags"]
-
 #: Machines of which the compiler knows ``-march=native``.
 MACHINES = ("x86_64", "aarch64")
 

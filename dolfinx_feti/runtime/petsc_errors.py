@@ -16,8 +16,6 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
-__all__ = ["python_errors"]
-
 
 @contextmanager
 def python_errors() -> Iterator[None]:

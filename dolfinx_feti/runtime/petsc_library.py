@@ -17,8 +17,6 @@ import numpy as np
 
 from dolfinx_feti.runtime.arrays import Array, Indices
 
-__all__ = ["Rows", "function", "pattern_state", "product", "reads_in_place", "rows_of"]
-
 _Handle, _Pointer, _Number = ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int
 _Numbers, _Doubles = ctypes.POINTER(ctypes.c_int), ctypes.POINTER(ctypes.c_double)
 _ROWS = (_Handle, *[_Number] * 3, *[_Pointer] * 4)

@@ -10,8 +10,6 @@ from contextlib import AbstractContextManager, contextmanager
 
 from petsc4py import PETSc
 
-__all__ = ["inserted", "require_prefix", "withheld"]
-
 
 def require_prefix(prefix: object) -> str:
     """Check a ``petsc_options_prefix``.

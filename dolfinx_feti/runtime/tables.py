@@ -11,8 +11,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-__all__ = ["Cell", "json_value", "number", "state", "table"]
-
 Cell: TypeAlias = str | float | None
 
 

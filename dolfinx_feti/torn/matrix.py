@@ -37,16 +37,6 @@ from dolfinx_feti.runtime.connectivity import (
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_library import pattern_state, product, rows_of
 
-__all__ = [
-    "State",
-    "Torn",
-    "create_torn_matrix",
-    "prescribed_dofs",
-    "set_condensed",
-    "set_near_kernel",
-    "state_of",
-]
-
 
 def create_torn_matrix(
     K: PETSc.Mat,

@@ -22,9 +22,6 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["anchor", "null_space", "take_out"]
-
-
 #: Error that rounding leaves in Zᵀ Z = I, and in A z = 0, scaled by the diagonal of A.
 ROUNDING = 1e-10
 

@@ -21,9 +21,6 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["EPS", "product_rounding", "residual_rounding"]
-
-
 #: Rows whose squares are in memory at once.
 CHUNK = 20_000
 

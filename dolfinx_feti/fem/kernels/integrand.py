@@ -37,8 +37,6 @@ from ufl.corealg.multifunction import MultiFunction
 
 from dolfinx_feti.fem.kernels.tape import FUNCTIONS, Tape
 
-__all__ = ["Factors", "Point", "Slot", "place", "scalar_element"]
-
 #: Powers up to this one are products.
 POWER = 4
 

@@ -27,8 +27,6 @@ from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Indices, Numbers
 from dolfinx_feti.runtime.native import load, pointer, processor_flags
 
-__all__ = ["Kernel", "create_kernels"]
-
 _log = logging.getLogger(__name__)
 
 #: By signatures, and by the places of each form's coefficients and constants among those of all;

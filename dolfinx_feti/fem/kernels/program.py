@@ -29,8 +29,6 @@ import ufl
 from dolfinx_feti.fem.kernels.integrand import Point, Slot, place, scalar_element
 from dolfinx_feti.fem.kernels.tape import HEADER
 
-__all__ = ["Program", "generate"]
-
 #: Most points of an instruction, most groups of eight cells that have them, bytes of a number each.
 POINTS, GROUPS, VECTOR = 22, 12, 64
 

@@ -24,8 +24,6 @@ import numpy as np
 
 from dolfinx_feti.runtime.arrays import Indices
 
-__all__ = ["FUNCTIONS", "HEADER", "Tape"]
-
 #: Functions of one argument.
 FUNCTIONS = "exp log sqrt cos sin tan cosh sinh tanh acos asin atan erf".split()
 

@@ -24,8 +24,6 @@ from dolfinx_feti.feti.subdomain.panels import Panels, load_panels
 from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.runtime.collective import on_all
 
-__all__ = ["Fields", "averaged_fields", "jump_fields"]
-
 
 @dataclass(frozen=True, slots=True)
 class Fields:

@@ -31,9 +31,6 @@ from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.rounding import EPS
 
-__all__ = ["GatheredSolver", "whole_factor"]
-
-
 #: Rows of the inverse for each process, on average, up to which they are formed.
 SPREAD = 128
 

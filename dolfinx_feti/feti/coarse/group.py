@@ -25,9 +25,6 @@ from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 
-__all__ = ["GroupFactor", "copy_of_rows", "processes_of_node"]
-
-
 #: Rows that are worth a process.
 ROWS = 4000
 

@@ -31,9 +31,6 @@ from dolfinx_feti.runtime.arrays import Array, Integers, Numbers
 from dolfinx_feti.runtime.native import load, pointer
 from dolfinx_feti.torn.matrix import create_torn_matrix
 
-__all__ = ["NearColumns", "joined"]
-
-
 DECLARATIONS = """
 int add_element(int, const int *, const double *, const int *, const int *, const int *,
                 const int *, const int64_t *, double *);

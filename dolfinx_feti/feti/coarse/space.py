@@ -37,9 +37,6 @@ from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.null_space import anchor, null_space
 from dolfinx_feti.torn.rounding import EPS
 
-__all__ = ["MARGIN", "AveragedColumns", "AveragedSpace", "estimated_norms"]
-
-
 #: Energy below which a combination of the columns of a subdomain, of unit energy each, is dropped.
 LEAST_ENERGY = 1e-6
 

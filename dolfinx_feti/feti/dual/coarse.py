@@ -34,9 +34,6 @@ from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.null_space import anchor, null_space
 
-__all__ = ["Coarse", "WeightedColumns"]
-
-
 DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
 
 #: Share of the diagonal weight in Q = M + ε diag(q).

@@ -37,9 +37,6 @@ from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["DualForm", "balanced_start", "create_dual_form", "load", "recover"]
-
-
 PRECONDITIONERS: dict[str, Callable[..., Preconditioner]] = {
     "dirichlet": Dirichlet,
     "identity": Identity,

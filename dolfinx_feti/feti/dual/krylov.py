@@ -27,8 +27,6 @@ from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_options import inserted
 
-__all__ = ["CG", "choose_method", "has_own_test", "solve"]
-
 Reason = PETSc.KSP.ConvergedReason
 
 #: Methods that precondition nothing but their residuals.

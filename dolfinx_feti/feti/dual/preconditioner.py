@@ -26,8 +26,6 @@ from dolfinx_feti.feti.subdomain.operator import Operator
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["Dirichlet", "Identity", "LinearMap", "Lumped", "Preconditioner"]
-
 
 class LinearMap:
     """The action of a matrix, which stays its owner's, on local parts of vectors: ``M @ x``."""

@@ -25,8 +25,6 @@ from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import total
 
-__all__ = ["DualSystem"]
-
 
 class DualSystem:
     """The dual system and its constraint preconditioner on the local parts of (λ, s), (m + K,).

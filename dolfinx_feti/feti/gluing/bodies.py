@@ -14,8 +14,6 @@ import scipy.sparse.csgraph
 from dolfinx_feti.runtime.arrays import Numbers
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Bodies", "find_bodies"]
-
 
 @dataclass(frozen=True, slots=True)
 class Bodies:

@@ -25,8 +25,6 @@ from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Numbers
 from dolfinx_feti.runtime.collective import total_of
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Copies", "star_forest"]
-
 
 class Copies:
     """The torn interface of this process and where the copies of its dofs are.

@@ -23,9 +23,6 @@ import numpy as np
 from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Numbers
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Dofs", "Gluing", "sort_dofs", "weights_of_copies"]
-
-
 #: Least share of a copy in the stiffness of its dof.
 LEAST = 1e-12
 

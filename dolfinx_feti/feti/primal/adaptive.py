@@ -22,8 +22,6 @@ from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.subdomain.blocks import on_subdomains
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["DOFS", "STEPS", "adaptive_columns"]
-
 Multiply = Callable[[Array], Array]
 
 #: Steps of the Krylov method, at least and at most; each finds as many columns.

@@ -30,14 +30,6 @@ from dolfinx_feti.feti.subdomain.operator import EliminatedInterior, Operator
 from dolfinx_feti.runtime.arrays import Array, Indices, Single
 from dolfinx_feti.runtime.native import load, pointer
 
-__all__ = [
-    "add_block",
-    "assembled_products",
-    "copy_block",
-    "load_block_code",
-    "shares_of_neighbours",
-]
-
 Multiply = Callable[[Array], Array]
 
 DECLARATIONS = """

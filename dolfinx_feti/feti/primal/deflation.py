@@ -32,8 +32,6 @@ from dolfinx_feti.runtime.collective import on_all, total, total_of
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.torn.rounding import EPS
 
-__all__ = ["DeflatedSpace", "Trace", "soft_fields"]
-
 Solve = Callable[[int, Array], Array]
 
 #: Applies S_i to columns, ``multiply(i, X)``, (n_i, c) → (n_i, c), or its transpose.

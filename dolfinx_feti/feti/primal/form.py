@@ -40,15 +40,6 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 
-__all__ = [
-    "PrimalForm",
-    "PrimalPreconditioner",
-    "create_preconditioner",
-    "create_preconditioner_of_part",
-    "create_primal_form",
-    "solver_on_interface",
-]
-
 Reason = PETSc.KSP.ConvergedReason
 
 #: Iterations that are kept for each of the Ritz vectors that may come of them.

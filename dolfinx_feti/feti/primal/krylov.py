@@ -34,8 +34,6 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import deferred, on_all, total_of
 from dolfinx_feti.torn.rounding import EPS
 
-__all__ = ["PrimalSystem", "conjugate_gradients", "gmres"]
-
 #: Share of ‖r‖² below which rounding would be felt in ‖r − α q‖² = ‖r‖² − 2 α rᵀ q + α² ‖q‖².
 CANCELLED = 1e-8
 

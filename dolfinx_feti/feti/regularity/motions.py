@@ -30,17 +30,6 @@ from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.null_space import null_space
 
-__all__ = [
-    "NOT_RIGID",
-    "Motions",
-    "free_motions",
-    "independent_columns",
-    "orthonormal_columns",
-    "triangles",
-    "unresisted",
-]
-
-
 #: A scaled energy below this is rounding, as it counts the error of a motion squared.
 NO_ENERGY = 1e-14
 

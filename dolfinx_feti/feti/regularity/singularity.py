@@ -37,9 +37,6 @@ from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.runtime.collective import on_all, total_of
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["require_held", "require_regular", "require_regular_interior"]
-
-
 #: Growth of a random vector in the scaled N⁻¹ above which the assembled matrix is looked at: less
 #: than that of a singular block, as a look is all that follows.
 SUSPICIOUS_GROWTH = 1e8

@@ -25,9 +25,6 @@ from dolfinx_feti.runtime.arrays import Indices
 from dolfinx_feti.runtime.petsc_library import reads_in_place
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Analysis", "analyse", "worth_eliminating"]
-
-
 #: Entries of S for each :math:`n^{4/3}`, which is how a sparse factor in three dimensions grows.
 DENSITY = 30.0
 

@@ -24,17 +24,6 @@ from dolfinx_feti.runtime.collective import on_all, reason
 from dolfinx_feti.runtime.petsc_library import product
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = [
-    "as_slice",
-    "block_diagonal",
-    "index_set",
-    "named",
-    "on_subdomains",
-    "own_columns",
-    "product_many",
-    "sparse_block",
-]
-
 T = TypeVar("T")
 
 

@@ -16,9 +16,6 @@ import numpy as np
 from dolfinx_feti.feti.subdomain.orthonormal import null_combinations, orthonormal
 from dolfinx_feti.runtime.arrays import Array, Mask
 
-__all__ = ["UNSUPPORTED", "SubdomainModes", "kernel_basis"]
-
-
 #: A mode of size one that is smaller than this on Dirichlet dofs vanishes there: the square root of
 #: rounding.
 UNSUPPORTED = 1e-8

@@ -25,8 +25,6 @@ from dolfinx_feti.feti.subdomain.factors.protocol import Factor
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["factor_tells_singular", "growth", "interior_kernel", "null_space"]
-
 Solve = Callable[[Array], Array]
 
 #: A growth of a scaled random vector that no regular block reaches: its condition would be worse.

@@ -37,8 +37,6 @@ from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_library import product, rows_of
 from dolfinx_feti.torn.matrix import Torn
 
-__all__ = ["Operator", "create_operator"]
-
 
 class Operator(ABC):
     """S of every subdomain of this process, (n_Γ, n_Γ) each.

@@ -16,18 +16,6 @@ import scipy.linalg
 
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = [
-    "RANK",
-    "append_orthonormal",
-    "diagonalising",
-    "null_combinations",
-    "orthonormal",
-    "orthonormalising",
-    "symmetric_part",
-    "unit_scale",
-]
-
-
 #: A singular value below this share of the largest one is zero: the square root of rounding, so
 #: that columns far from the origin, which agree in half of their digits, still count.
 RANK = 1e-8

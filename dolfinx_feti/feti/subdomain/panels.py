@@ -25,9 +25,6 @@ import numpy.typing as npt
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.native import address_of, load, pointer
 
-__all__ = ["Panels", "load_panels", "rows_product"]
-
-
 DECLARATIONS = """
 void panels_product(int, int, const int *, const int *, const int *, const double *,
                     const double *, double *, double *, void *);

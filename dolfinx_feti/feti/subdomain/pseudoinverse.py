@@ -35,8 +35,6 @@ from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.collective import deferred
 from dolfinx_feti.runtime.events import event
 
-__all__ = ["PseudoInverse", "create_pseudo_inverse"]
-
 Solve = Callable[[Array], Array]
 
 #: ‖K R‖ below this multiple of ‖K‖‖R‖ counts as zero: rounding of the assembly.

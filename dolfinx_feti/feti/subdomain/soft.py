@@ -20,8 +20,6 @@ import scipy.sparse.linalg
 from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["ALL_MODES", "Basis", "buckling_modes", "join", "soft_modes"]
-
 Solve = Callable[[Array], Array]
 
 #: The modes of a subdomain, orthonormal R, (n, k), E and D: see ``pseudoinverse``.

@@ -28,8 +28,6 @@ from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.arrays import Array, Indices, Single
 from dolfinx_feti.runtime.native import address_of
 
-__all__ = ["SINGLE", "DenseFactor", "PackedMatrix", "pack", "unpack"]
-
 Real = TypeVar("Real", np.float32, np.float64)
 
 #: The unit ε of rounding in single precision.

@@ -15,20 +15,6 @@ from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
 from dolfinx_feti.runtime.lifetime import Lifetime
 
-__all__ = [
-    "Choice",
-    "create_factor",
-    "factor_failure",
-    "factor_with_work_space",
-    "is_mumps",
-    "mebibytes",
-    "pivots_of",
-    "prepare_mumps",
-    "set_default_factor",
-    "solve_many",
-    "takes_ldlt",
-]
-
 #: Percent of work space that MUMPS gets for delayed pivots, one try after the other.
 WORK_SPACE = (10, 50, 200, 1000)
 

@@ -34,9 +34,6 @@ from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.native import address_of, load, pointer
 from dolfinx_feti.runtime.petsc_library import Rows, function
 
-__all__ = ["FrontCode", "FrontFactor", "Fronts", "create_fronts", "load_fronts", "load_fronts_for"]
-
-
 #: Of METIS: the number of its options, and the code of success.
 METIS_OPTIONS, METIS_OK = 40, 1
 

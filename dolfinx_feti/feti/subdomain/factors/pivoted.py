@@ -31,8 +31,6 @@ from dolfinx_feti.feti.subdomain.factors.direct import (
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, Pivots, require_alive
 from dolfinx_feti.runtime.arrays import Array, Indices
 
-__all__ = ["PivotedFactor", "factor_with_pivots"]
-
 
 class PivotedFactor:
     """The factor of ``K[rows, rows] + ρ R Rᵀ``: see ``protocol``.

@@ -16,8 +16,6 @@ from typing import NamedTuple, Protocol
 
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["Factor", "Pivots", "require_alive", "sum_known"]
-
 
 class Pivots(NamedTuple):
     """What a factor tells of its matrix; None where it does not tell.

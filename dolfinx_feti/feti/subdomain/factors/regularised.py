@@ -23,9 +23,6 @@ from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.petsc_library import Rows
 
-__all__ = ["RegularisedFactor", "factor_by_fronts"]
-
-
 #: Share of the largest singular value of R on the last front that the smallest one has to have.
 FIXED = 1e-2
 
