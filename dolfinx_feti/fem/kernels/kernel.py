@@ -99,12 +99,13 @@ class Kernel:
         """Call a function of C with the present state."""
         constants = np.concatenate([np.zeros(0), *(np.ravel(c.value) for c in self.constants)])
         values = [self.mesh.geometry.x, *(f.x.array for f in self.functions)]
-        dofs = [f.function_space.dofmap.list for f in self.functions]
+        spaces = [f.function_space for f in self.functions]
+        dofs = [compat.geometry_dofmap(self.mesh), *(V.dofmap.list for V in spaces)]
         state = {**self.program.fields, "m": self._count, "constants": constants}
         state |= {} if self.cells is None else {"cells": self.cells}
         fields = {k: v if isinstance(v, int) else pointer(self.code, v) for k, v in state.items()}
         fields["values"] = self._pointers("double", values)
-        fields["dof"] = self._pointers("int", [compat.geometry_dofmap(self.mesh), *dofs])
+        fields["dof"] = self._pointers("int", dofs)
         program = self.code.ffi.new("Program *", fields)
         if getattr(self.code.lib, name)(program, *arguments):
             raise MemoryError("no memory for the cells of a visit")
