@@ -57,16 +57,15 @@ def solves(problem, rtol=1e-8):
     return context
 
 
-@pytest.mark.processes(1, 2)
+@pytest.mark.processes(1, 2, 3)
 @pytest.mark.parametrize("subdomains", [None, 20], ids=["aligned", "across"])
 @pytest.mark.parametrize("jump", [1e2, 1e5, 1e8])
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_jumps_are_solved(pattern, jump, subdomains):
-    """Rounding grows with the jump."""
-    if COMM.size == 2 and jump == 1e8 and subdomains and pattern in ("columns", "checkerboard"):
-        pytest.xfail("KNOWN FAULT: the residual stagnates, and a message says so")
+    """Rounding grows with the jump, and single precision is not taken where it hides soft dofs."""
     problem = stiffened_cube(6, 3 if subdomains is None else 2, pattern, jump, subdomains)
-    solves(problem, max(1e-8, 1e-15 * jump))
+    context = solves(problem, max(1e-8, 1e-15 * jump))
+    agree(context.iterations <= 150, context.iterations)
 
 
 @pytest.mark.processes(1, 2)

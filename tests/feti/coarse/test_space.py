@@ -139,7 +139,7 @@ def test_product_that_fails_on_one_process(torn_grid, form):
     S = primal.parts.operator
 
     class Failing:
-        multiply_many = S.multiply_many
+        torn, multiply_many = S.torn, S.multiply_many
 
         def multiply_panels(self, i, W, *, transpose):
             if COMM.rank == COMM.size - 1 and i == len(primal.copies.blocks) - 1:
