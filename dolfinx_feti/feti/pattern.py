@@ -105,7 +105,7 @@ def _require_primal(options: FETIOptions, prefix: str) -> None:
 
 @contextmanager
 def symmetric_part(torn: Torn) -> Iterator[Torn]:
-    """Yield the torn matrix with ½ (K + Kᵀ) in the place of K, which ends afterwards."""
+    """Yield the torn matrix with ½ (K + Kᵀ) and its pattern in the place of K's. Collective."""
     part, K = copy(torn), torn.K.copy()
     transposed = torn.K.transpose(PETSc.Mat())
     K.axpy(1.0, transposed, structure=PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN)
@@ -113,6 +113,7 @@ def symmetric_part(torn: Torn) -> Iterator[Torn]:
     transposed.destroy()
     part.K = K
     try:
+        part.read_pattern()
         yield part
     finally:
         K.destroy()

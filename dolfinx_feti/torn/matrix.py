@@ -203,20 +203,24 @@ class Torn:
                 )
             self.start = self.comm.scan(self.n) - self.n
             self.owned = A.getLocalSize()[0]
-
-            def read() -> None:
-                bs = self.K.getBlockSize()
-                with rows_of(self.K) as of_K:
-                    self.graph = block_graph(of_K, bs)
-                self._diagonal = diagonal_places(self.K)
-                self.subdomains = connected_blocks(self.graph, bs)
-
-            on_all(read, self.comm)
+            self.read_pattern()
             self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
             self._sf = owned.own(copy_forest(A))
             self.prescribed = prescribed_dofs(A)
             self.dirichlet = self.tear(self.prescribed) > 0.5
             self._owned = owned.pop_all()
+
+    def read_pattern(self) -> None:
+        """Read the pattern of K. Collective."""
+
+        def read() -> None:
+            bs = self.K.getBlockSize()
+            with rows_of(self.K) as of_K:
+                self.graph = block_graph(of_K, bs)
+            self._diagonal = diagonal_places(self.K)
+            self.subdomains = connected_blocks(self.graph, bs)
+
+        on_all(read, self.comm)
 
     def multiply(self, t: Array, *, transpose: bool = False) -> Array:
         """Return K t, or Kᵀ t, for a vector, (n,), or several columns, (n, r)."""

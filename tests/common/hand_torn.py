@@ -136,6 +136,18 @@ def unsymmetric(share: float, *, skew: bool = False, seed: int = 1986) -> Change
     return change
 
 
+def one_sided(share: float, *, seed: int = 1986) -> Change:
+    """Add a share of random entries, a_ij where neither a_ij nor a_ji was in the pattern."""
+
+    def change(K: list[Array], _dofs: object) -> None:
+        rng = np.random.default_rng(seed)
+        for K_i in K:
+            X = rng.standard_normal(K_i.shape) * (rng.random(K_i.shape) < 0.01)
+            K_i += share * np.abs(K_i).max() * np.tril(X * (K_i == 0.0))
+
+    return change
+
+
 def grid(
     subdomains: Sequence[int],
     cells: Sequence[int],
@@ -279,7 +291,7 @@ def block_matrix(blocks: list[tuple[Array, Array]], bs: int) -> PETSc.Mat:
     """Make a sequential matrix of diagonal blocks (values, pattern)."""
     parts = [scipy.sparse.coo_array((0, 0))]
     for values, pattern in blocks:
-        rows, columns = np.nonzero(pattern)
+        rows, columns = np.nonzero((pattern != 0.0) | (values != 0.0))
         parts.append(scipy.sparse.coo_array((values[rows, columns], (rows, columns)), values.shape))
     K = scipy.sparse.block_diag(parts, format="csr")
     csr = K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data

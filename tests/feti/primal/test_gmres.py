@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cases import case, every_type
 from collective import COMM, agree, equal, matrix_of_map, random_part, small, whole
-from hand_torn import random_values, solve, solved, unsymmetric
+from hand_torn import one_sided, random_values, solve, solved, unsymmetric
 
 from dolfinx_feti.feti.primal import krylov as module
 from dolfinx_feti.feti.primal.form import create_preconditioner_of_part, create_primal_form
@@ -131,6 +131,15 @@ def test_against_lu(share, skew, kind, torn_grid, feti):
     context = solved(feti(problem.A, feti_type=kind, ksp_rtol=1e-11), problem)
     agree(context.message == "" and context.method == "gmres", context.message)
     agree(context.form.formulation == "primal" and context.inertia.assembled is None)
+
+
+@pytest.mark.parametrize("components", [1, 2])
+@pytest.mark.parametrize("scaling", ["stiffness", "multiplicity"])
+def test_unsymmetric_pattern(scaling, components, torn_grid, feti):
+    """Entries without a mirror: ½ (K + Kᵀ) has another pattern than K, and other rows."""
+    problem = torn_grid((3, 2), (7, 7), components=components, change=one_sided(0.02))
+    context = solved(feti(problem.A, feti_scaling=scaling, ksp_rtol=1e-11), problem)
+    agree(context.method == "gmres" and context.iterations < 25, context.iterations)
 
 
 def test_fresh_starts(torn_grid, feti, monkeypatch):
