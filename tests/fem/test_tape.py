@@ -14,6 +14,7 @@ from problems import Cell, cube
 import dolfinx
 import ufl
 
+from dolfinx_feti.fem.kernels import tape as tape_module
 from dolfinx_feti.fem.kernels.integrand import Point
 from dolfinx_feti.fem.kernels.kernel import create_kernels
 from dolfinx_feti.fem.kernels.tape import Tape
@@ -34,6 +35,37 @@ def test_order_and_sign_make_no_other_value():
     agree(tape.multiply(tape.number(-1.0), a) == -a)
     mask = tape.value("lt", a, b)
     agree(tape.choose(mask, -c, tape.number(0.0)) == -tape.choose(mask, c, tape.number(0.0)))
+
+
+def test_numbers_are_values_of_their_own():
+    """Powers of two, of either sign, and their products with others."""
+    tape = Tape()
+    a = tape.value("constant", integers=[0])
+    values = {e: tape.number(2.0**e) for e in range(-1074, 1024)}
+    agree(len({abs(value) for value in values.values()}) == len(values))
+    agree(all(tape.literals[value] == 2.0**e for e, value in values.items()))
+    agree(len({abs(tape.multiply(a, value)) for value in values.values()}) == len(values))
+    agree(tape.multiply(values[30], values[31]) == values[61] != values[0])
+    agree(tape.number(-(2.0**-52)) == -values[-52] != -values[9])
+
+
+def test_a_number_with_the_key_of_another_is_no_other(monkeypatch):
+    """In a field of 2⁶¹ − 1 elements, 2⁶¹ is one: the tape takes them for two values."""
+    monkeypatch.setattr(tape_module, "PRIME", 2**61 - 1)
+    for pair in ((512.0, 2.0**-52), (1.0, -(2.0**61))):
+        tape = Tape()
+        found = [tape.number(x) for x in pair]
+        agree(abs(found[0]) != abs(found[1]), pair)
+        agree([tape.literals[abs(value)] for value in found] == [abs(x) for x in pair])
+
+
+def test_numbers_that_differ_are_no_common_factor():
+    """∫ 512 x + 2⁻⁵² c y = 256.5 in the unit cube, with c = 2⁵²."""
+    mesh = cube(3, 2, Cell.tetrahedron)
+    x, c = ufl.SpatialCoordinate(mesh), dolfinx.fem.Constant(mesh, 2.0**52)
+    ((_, kernel),) = create_kernels([(512.0 * x[0] + 2.0**-52 * c * x[1]) * ufl.dx(degree=1)], mesh)
+    (values,) = kernel.evaluate()
+    equal(COMM.allreduce(values.sum()), 256.5, 1e-14)
 
 
 def fibres(u: dolfinx.fem.Function, k: Expr | float) -> Expr:

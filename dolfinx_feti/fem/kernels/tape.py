@@ -40,8 +40,9 @@ HEADER = f"""
 #define NAMES {", ".join(f'PREFIX "v_{name}"' for name in FUNCTIONS)}
 """
 
-#: The field has so many elements.
-PRIME = 2**61 - 1
+#: The field has so many elements, 2 q + 1 with a prime q: two has the order q, and no powers of two
+#: in double precision are the same up to sign.
+PRIME = 0x181F21A763FC87BF
 
 #: 1/x is x to this power, whose product with x is not 1: x/x is no number where x is 0. Neither is
 #: 1/0, which is this one.
@@ -76,6 +77,8 @@ class Tape:
         n, d = abs(x).as_integer_ratio()
         literal = _Value("number", (), (len(self.literals),))
         value = self._find(n * pow(d, -1, PRIME), literal)
+        if self.literals.get(abs(value), abs(x)) != abs(x):  # another number has this key
+            value = self._opaque(literal)
         if value > 0:
             self.literals[value] = abs(x)
         return value if x >= 0.0 else -value
