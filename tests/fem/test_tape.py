@@ -120,6 +120,17 @@ def test_second_derivatives_are_symmetric(energy):
     agree(all(found[u, v] == i for (v, u), i in found.items()))
 
 
+def test_long_sums():
+    """As deep as UFL's are: 600 terms, each inside of the sum of the next ones."""
+    u = strained(Cell.triangle, 1)
+    point = Point(u.function_space.mesh, [u], [])
+    terms = [ufl.exp(1e-3 * k * u[0]) for k in range(600)]
+    point.add(0, sum(terms) * ufl.TestFunction(u.function_space)[1], 1)
+    ((_, found),) = point.terms
+    code, _, _ = point.tape.program(set(found.values()), 1)
+    agree(len(found) == 1 and len(code) > 4 * len(terms))  # an exponential takes four numbers
+
+
 @pytest.mark.parametrize("cell", [Cell.tetrahedron, Cell.quadrilateral])
 def test_another_material_compiles_nothing(cell, monkeypatch):
     """Numbers, constants and functions are data; values are dolfinx's, to rounding."""

@@ -14,7 +14,7 @@ the factors A, P, Ψ, which know of the state alone; here they become one value 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,7 +100,8 @@ class Point:
             for arguments in node.get("target", ())
             if not isinstance(nodes[i], classes.Zero)
         }
-        found = {s: self.tape.positive(self._value(node)) for s, node in sorted(factors.items())}
+        self._evaluate(nodes, factors.values())
+        found = {s: self.tape.positive(self._known[node]) for s, node in sorted(factors.items())}
         self.terms.append((form, found))
 
     def _slot(self, terminal: ModifiedTerminal) -> Slot:
@@ -114,16 +115,21 @@ class Point:
             self.gradients.add(e)
         return Slot(e, block, terminal.flat_component, direction)
 
-    def _value(self, node: Expr) -> int:
-        """Return the value of an expression."""
-        if node not in self._known:
-            known = self._terminal if is_modified_terminal(node) else self._operation
-            self._known[node] = known(node)
-        return self._known[node]
+    def _evaluate(self, nodes: Sequence[Expr], wanted: Iterable[Expr]) -> None:
+        """Find the values of those nodes that are wanted; each comes after its operands."""
+        needed = set(wanted)
+        for node in reversed(nodes):
+            if node in needed:
+                needed.update(_operands(node))
+        for node in nodes:
+            if node in needed and node not in self._known:
+                self._known[node] = self._value(node)
 
-    def _operation(self, node: Expr) -> int:
-        """Return an operation on its operands a."""
-        tape, a = self.tape, [self._value(operand) for operand in node.ufl_operands]
+    def _value(self, node: Expr) -> int:
+        """Return a terminal, or an operation on its operands a."""
+        if is_modified_terminal(node):
+            return self._terminal(node)
+        tape, a = self.tape, [self._known[operand] for operand in node.ufl_operands]
         match node:
             case classes.Sum():
                 return tape.add(*a)
@@ -212,6 +218,10 @@ class _Frame(MultiFunction):
     def grad(self, o: Expr, f: Expr) -> Expr:
         """∂f/∂X."""
         return classes.ReferenceGrad(f)
+
+
+def _operands(node: Expr) -> tuple[Expr, ...]:
+    return () if is_modified_terminal(node) else node.ufl_operands
 
 
 def place(things: list[Any], thing: object) -> int:
