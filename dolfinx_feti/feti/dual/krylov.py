@@ -5,8 +5,8 @@ r"""Krylov methods of the dual form: PETSc's CG where the system is positive def
 
 CG is safe if neither a regularised subdomain nor the defect D has a negative eigenvalue. Every
 preconditioned residual tells the norm :math:`\|T^⊤ t\|` of that of the *assembled* system. CG stops
-on it, and forms the residual once more where it is an estimate (``exact`` is False). GMRES knows
-that of the jump: the other one is measured when it promises convergence, and every few iterations.
+on it; where it is an estimate (``exact`` is False), and in GMRES, which knows that of the jump, the
+residual is formed when it promises convergence, and every few iterations, in CG from then on.
 A fresh start follows stagnation, or a residual that departs from the true one.
 """
 
@@ -118,7 +118,7 @@ class _StoppingTest:
         cg: Whether the preconditioner is applied to residuals alone.
         monitor: Called with each iteration and the norm.
         proportion: That of the norm to the method's own one; in CG it is known, and this is one.
-        next: Iteration in which GMRES measures the residual again.
+        next: Iteration in which an estimated residual is measured again.
         least: The least norm, and its iteration.
         best: The iterate with the least residual, where the method has it at hand (CG); else None.
     """
@@ -147,8 +147,8 @@ class _StoppingTest:
         norm = self.measure(its, rnorm)
         if not np.isfinite(rnorm) or np.isinf(norm):
             return Reason.DIVERGED_NANORINF
-        due = not self.cg and its >= self.next
-        if due or (norm <= self.target and not (self.cg and self.system.exact)):
+        sure = self.cg and self.system.exact
+        if not sure and (norm <= self.target or its >= self.next):
             norm, departed = self._measure_again(ksp, rnorm)
             self.next = its + INTERVAL
             if departed and norm > self.target:

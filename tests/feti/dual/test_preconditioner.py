@@ -3,6 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The dual operator, its preconditioners and the constraint on them against dense formulas."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -13,6 +15,7 @@ from modes import modes_of
 
 from dolfinx_feti.feti.dual import system
 from dolfinx_feti.feti.dual.coarse import WeightedColumns
+from dolfinx_feti.feti.dual.krylov import INTERVAL, OPTIMISM, _StoppingTest
 from dolfinx_feti.feti.dual.system import DualSystem
 
 SEED = 90210
@@ -240,3 +243,23 @@ def test_preconditioner_waits_for_no_norm(q, torn_grid, parts, monkeypatch):
     norm = dual.precondition(r)[1]
     equal(norm, expected, 1e-12)
     agree(len(calls) == (q == "preconditioner"))
+
+
+@pytest.mark.parametrize(
+    ("cg", "exact", "measured"),
+    [(True, True, []), (True, False, [3, 13, 23]), (False, True, [3, 13, 23])],
+)
+def test_residual_is_measured_again(cg, exact, measured):
+    """Where an estimate promises too much, and every ten iterations then; never if CG knows it."""
+    found, vector = [], SimpleNamespace(array_r=np.zeros(1), norm=lambda: 1.0, destroy=lambda: None)
+    ksp = SimpleNamespace(
+        buildResidual=lambda: vector, getSolution=lambda: vector, getNormType=lambda: None
+    )
+    dual = SimpleNamespace(exact=exact, unbalanced=lambda _: found.append(its) or 0.8)
+    test = _StoppingTest(dual, 0.5, 100, cg, lambda *_: None, 1.0, np.inf if cg else INTERVAL)
+    for its in range(1, 30):
+        estimate = 0.4 if its == 3 else 1.0
+        dual.norm = estimate if cg else 1.0 / OPTIMISM
+        if test(ksp, its, estimate):
+            break
+    agree(found == measured and its == (29 if measured else 3), (found, its))
