@@ -197,17 +197,6 @@ class _Block(NamedTuple):
     def is_singular(self, factor: Factor) -> bool:
         return factor_tells_singular(factor, self.diagonal)
 
-    def regular_factor(self, R: Array, rho: float) -> Factor | None:
-        """Factor it plus ρ R Rᵀ; None where it is singular up to rounding."""
-        try:
-            factor = self.factor(R, rho)
-        except FactorError:  # a solver that stops at a zero pivot
-            return None
-        if not self.is_singular(factor):
-            return factor
-        factor.destroy()
-        return None
-
 
 def _is_single(factor: Factor) -> bool:
     return isinstance(factor, DenseFactor) and factor.single
@@ -245,9 +234,16 @@ def _regularise(
 
 def _with_null_vectors(K: _Block, R: Array, rho: float) -> tuple[Factor, Array]:
     """Factor K_ρ, and append to R the null vectors that it still has; return both."""
-    regular = K.factor_in_single(R, rho) or K.regular_factor(R, rho)
-    if regular is not None:
-        return regular, R
+    single = K.factor_in_single(R, rho)
+    if single is not None:
+        return single, R
+    try:
+        factor = K.factor(R, rho)
+        if not K.is_singular(factor):
+            return factor, R
+        factor.destroy()
+    except FactorError:  # a solver that stops at a zero pivot
+        pass
     Y = null_space(K.product, lambda known, shift: K.factor(known, 1.0, shift), K.diagonal, R)
     R = append_orthonormal(R, Y)
     factor = K.factor(R, rho)
@@ -270,8 +266,9 @@ def _with_buckling_modes(
         needed = max(rho, -LIFT * float(lowest))
         if more.shape[1] == R.shape[1] and needed == rho:
             break
-        raised = K.regular_factor(more, needed)
-        if raised is None:  # a border that the factor cannot tell from zero
+        raised = K.factor(more, needed)
+        if K.is_singular(raised):  # a border that the factor cannot tell from zero
+            raised.destroy()
             break
         factor.destroy()
         factor, R, rho = raised, more, needed

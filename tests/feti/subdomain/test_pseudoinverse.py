@@ -6,10 +6,11 @@
 import numpy as np
 import pytest
 from cases import each, every_type
-from collective import COMM, agree, equal, small, whole
+from collective import COMM, agree, equal, raises, small, whole
 from hand_torn import scaled_diagonal
 from modes import modes_of
 
+from dolfinx_feti.errors import FactorError, SetUpError
 from dolfinx_feti.feti.setup import refined, set_up
 from dolfinx_feti.feti.subdomain import analysis, pseudoinverse
 from dolfinx_feti.feti.subdomain.modes import kernel_basis
@@ -164,6 +165,36 @@ def test_buckling_modes_join_the_kernel(change, kind, torn_grid, parts, monkeypa
     for K, E, D, rho in zip(blocks(problem, system), found.E, found.D, found.rho, strict=True):
         errors.append(np.abs(E.T @ K @ E - D + D @ D / rho).max(initial=0.0) / np.abs(K).max())
     small(max(errors), 1e-10)
+
+
+def test_zero_pivot_of_buckling_modes_is_an_error(torn_grid, parts, monkeypatch):
+    """A solver that stops where they join the kernel has no factor of K_ρ, and says so."""
+    factor, width = pseudoinverse._Block.factor, {}
+
+    def stop(K, R, *more):
+        if R.shape[1] > width.setdefault(K.i, R.shape[1]):
+            raise FactorError("a zero pivot")
+        return factor(K, R, *more)
+
+    monkeypatch.setattr(pseudoinverse._Block, "factor", stop)
+    problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES["random"])
+    with raises(SetUpError, "subdomain .*a zero pivot"):
+        parts(problem.A)
+
+
+def test_zero_pivot_found_by_a_solve_asks_for_null_vectors(torn_grid, parts, monkeypatch):
+    """As one in the factor; a regular subdomain has none."""
+    tells_singular, asked = pseudoinverse.factor_tells_singular, set()
+
+    def stop(factor, d):
+        if d.tobytes() not in asked:
+            asked.add(d.tobytes())
+            raise FactorError("a zero pivot")
+        return tells_singular(factor, d)
+
+    monkeypatch.setattr(pseudoinverse, "factor_tells_singular", stop)
+    found = modes_of(parts(torn_grid((2, 2), (2, 2), components=2).A))
+    agree(all(found.exact) and bool(asked) == bool(found.exact))
 
 
 @every_type
