@@ -26,10 +26,8 @@ from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.fem.kernels.kernel import Kernel
 from dolfinx_feti.fem.regions import compile_cells
 from dolfinx_feti.runtime import compat
-from dolfinx_feti.runtime.arrays import Array, Indices, Mask
-from dolfinx_feti.runtime.connectivity import block_graph
+from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Numbers
 from dolfinx_feti.runtime.events import event
-from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.torn.matrix import create_torn_matrix
 
 #: Rows of dofs and not of blocks, as PETSc has them.
@@ -141,19 +139,36 @@ def create_csr(
 def create_local_matrix(space: TornSpace, compiler: Compiler | None = None) -> LocalMatrix:
     """Allocate the local matrix of a torn space, which the caller destroys. Collective."""
     csr = create_csr((space, space), compiler)
-    topology, dofmap = space.V.mesh.topology, space.V_torn.dofmap
-    bs, node = dofmap.index_map_bs, dofmap.list[: topology.index_map(topology.dim).size_local]
+    bs = space.V_torn.dofmap.index_map_bs
     n = len(space.dof) * bs
     indptr, indices = (a.astype(PETSc.IntType, copy=False) for a in (csr.indptr, csr.indices))
     mat = PETSc.Mat().createAIJWithArrays((n, n), (indptr, indices, csr.data), comm=PETSc.COMM_SELF)
     mat.setBlockSizes(bs, bs)  # an argument for it has no effect
-    with rows_of(mat) as rows:
-        graph = block_graph(rows, bs)
-    row = np.repeat(np.arange(len(space.dof)), np.diff(graph.indptr))
-    wanted = node[:, :, None].astype(np.int64) * len(space.dof) + node[:, None, :]
-    place = np.searchsorted(row * len(space.dof) + graph.indices, wanted)
-    place = bs * (place - graph.indptr[node][:, :, None])
-    return LocalMatrix(csr, mat, node, place.astype(np.int32))
+    return LocalMatrix(csr, mat, *locate(space, csr.indptr, csr.indices))
+
+
+def locate(space: TornSpace, indptr: Numbers, indices: Indices) -> tuple[Indices, Indices]:
+    """Return the nodes of each cell, and the places of their columns, see :class:`LocalMatrix`.
+
+    Rows begin at ``indptr``, and have ascending columns.
+
+    Raises:
+        ValueError: The matrix does not couple all nodes of a cell.
+    """
+    topology, dofmap = space.V.mesh.topology, space.V_torn.dofmap
+    node = dofmap.list[: topology.index_map(topology.dim).size_local]
+    bs, n = dofmap.index_map_bs, (len(indptr) - 1) // dofmap.index_map_bs
+    length = np.diff(indptr).reshape(n, bs)
+    first = np.cumsum(length[:, 0]) - length[:, 0]  # of the entries of each node's first row
+    at = np.arange(length[:, 0].sum()) + np.repeat(indptr[:-1:bs] - first, length[:, 0])
+    pairs = np.repeat(np.arange(n), length[:, 0]) * (n * bs) + indices[at]
+    wanted = (node[:, :, None].astype(np.int64) * n + node[:, None, :]) * bs
+    place = np.searchsorted(pairs, wanted)
+    last = pairs[np.minimum(place + bs - 1, len(pairs) - 1)]
+    same = np.array_equal(length, np.broadcast_to(length[:, :1], length.shape))
+    if node.max(initial=-1) >= n or not same or not np.array_equal(last, wanted + bs - 1):
+        raise ValueError(f"K, of {n} nodes, does not couple all nodes of every cell")
+    return node, (place - first[node][:, :, None]).astype(np.int32)
 
 
 def assemble(K: LocalMatrix, form: SplitForm) -> None:

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from collective import COMM, agree, dense, equal, small, whole
+from collective import COMM, agree, dense, equal, raises, small, whole
 from problems import Cell, Problem, cube, elasticity, poisson
 
 import dolfinx
@@ -156,6 +156,23 @@ def test_pattern_is_complete(torn_matrix):
     rows = [indices[a:b] for a, b in itertools.pairwise(indptr)]
     agree(all(np.array_equal(row // 3 * 3, np.repeat(row[::3], 3)) for row in rows))
     agree(all(np.all(np.diff(row) > 0) for row in rows))
+
+
+@pytest.mark.parametrize("wrong", ["columns", "rows of a node", "nodes"])
+def test_matrix_without_a_place_is_refused(wrong):
+    """A pattern that does not couple the nodes of all cells is noticed, not written past."""
+    problem = elasticity(cube(3, 2))
+    space = tear(problem.V, decompose(problem.V.mesh, 2))
+    csr = assembly.create_csr((space, space))
+    indptr, indices = csr.indptr.copy(), csr.indices.copy()
+    if wrong == "columns":
+        indices[indptr[-4] :] = 0
+    elif wrong == "rows of a node":
+        indptr[1:-1:3] -= 3
+    else:
+        indptr = indptr[:-3]
+    with raises(ValueError, r"K, of \d+ nodes, does not couple all nodes"):
+        assembly.locate(space, indptr, indices)
 
 
 def test_cells_without_an_integral_have_their_place(torn_matrix):
