@@ -51,7 +51,7 @@ def split_form(
     form: ufl.Form, mesh: dolfinx.mesh.Mesh, compiler: Compiler, spaces: Sequence[TornSpace] = ()
 ) -> SplitForm:
     """Compile a form, with the arguments of what dolfinx assembles on torn spaces. Collective."""
-    kernels, (rest,) = compile_cells([form], mesh)
+    kernels, (rest,) = compile_cells([form], mesh, compiler.cache)
     compiled = None if rest.empty() else dolfinx_form(rest, spaces, compiler)
     return SplitForm(tuple(kernel for _, kernel in kernels), compiled)
 

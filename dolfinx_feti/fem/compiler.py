@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 from mpi4py import MPI
@@ -36,6 +37,13 @@ class Compiler:
     comm: MPI.Comm
     form_compiler_options: Mapping[str, object] | None = None
     jit_options: Mapping[str, object] | None = None
+
+    @property
+    def cache(self) -> Path | None:
+        """Folder for the package's own code, if dolfinx's options name one."""
+        folder = dolfinx.jit.get_options(self._options()["jit_options"])["cache_dir"]
+        default, _ = dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS["cache_dir"]
+        return None if folder == default else Path(folder).expanduser()
 
     def form(self, form: ufl.Form) -> dolfinx.fem.Form:
         """Compile a form.

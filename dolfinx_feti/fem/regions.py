@@ -10,6 +10,7 @@ an integral over several numbers belongs to each of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -21,9 +22,11 @@ from dolfinx_feti.runtime.arrays import Indices
 
 
 def compile_cells(
-    forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh
+    forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh, cache: Path | None = None
 ) -> tuple[list[tuple[list[int], Kernel]], list[ufl.Form]]:
     """Compile the integrals over cells of forms on a mesh, a kernel for each region and degree.
+
+    The C code is kept in ``cache``, or in the package's own folder.
 
     Returns:
         Kernels, each with the numbers of its forms, and of each form what is left to dolfinx: other
@@ -52,7 +55,7 @@ def compile_cells(
     kernels = []
     for key, group in groups.items():
         inside = [ufl.Form([_over("everywhere", i) for i in each]) for each in group.values()]
-        created = create_kernels(inside, mesh, known.get(key))
+        created = create_kernels(inside, mesh, known.get(key), cache)
         if created is not None:
             known_as = list(group)
             kernels += [([known_as[i] for i in forms], kernel) for forms, kernel in created]

@@ -45,7 +45,7 @@ class CellTensors:
         self._shapes = [
             (cells, *(_width(a.ufl_function_space()) for a in form.arguments())) for form in forms
         ]
-        self._kernels, rest = compile_cells(forms, mesh)
+        self._kernels, rest = compile_cells(forms, mesh, compiler.cache)
         self._rest = {
             i: _assembler(form, self._shapes[i], compiler)
             for i, form in enumerate(rest)

@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """C code of the package, compiled at first use and kept, as FFCx does with forms.
 
-``DOLFINX_FETI_CFLAGS`` has further flags for FFCx's compiler. The cache is
+``DOLFINX_FETI_CFLAGS`` has further flags for the C compiler, which FFCx uses, too. The cache is
 ``$XDG_CACHE_HOME/dolfinx_feti`` (``~/.cache/dolfinx_feti`` without that variable), or a folder for
 this run where that cannot be written. Names change with the code, the flags, the processor if they
 ask for its kind, cffi and Python.
@@ -61,6 +61,7 @@ def load(
     *,
     generated: str = "",
     flags: Sequence[str] = ("-O3",),
+    cache: Path | None = None,
 ) -> Any:
     """Compile a file, unless that is done, and load it.
 
@@ -70,6 +71,7 @@ def load(
         comm: Communicator of all processes that load it; the others find what the first compiles.
         generated: Code that takes the place of ``/* generated */`` in the file.
         flags: For the compiler.
+        cache: Folder in the place of the package's own.
 
     Returns:
         The module, whose ``lib`` has the functions, and ``ffi`` the types.
@@ -81,7 +83,7 @@ def load(
         Collective. Code that has been loaded with a communicator is found without communication.
     """
     flags = (*flags, *shlex.split(os.environ.get("DOLFINX_FETI_CFLAGS", "")))
-    key = source, declarations, generated, flags
+    key = source, declarations, generated, flags, cache
     seen: Any = comm.Get_attr(_SEEN)
     if seen is None:
         seen = set[object]()
@@ -156,13 +158,15 @@ def _hash(texts: Iterable[str]) -> str:
 
 
 @functools.cache
-def _module(source: Path, declarations: str, generated: str, flags: tuple[str, ...]) -> ModuleType:
+def _module(
+    source: Path, declarations: str, generated: str, flags: tuple[str, ...], cache: Path | None
+) -> ModuleType:
     """Compile and load, see :func:`load`."""
     try:
         text, suffix = _text(source, generated), str(sysconfig.get_config_var("EXT_SUFFIX"))
         known_by = _hash([text, declarations, *flags, version("cffi"), suffix])[:16]
         name = f"{source.stem}_{known_by}"
-        path = _compiled(name + suffix, text, declarations, flags)
+        path = _compiled(name + suffix, text, declarations, flags, cache)
         spec = importlib.util.spec_from_file_location(name, path)
         assert spec is not None and spec.loader is not None, path
         module = importlib.util.module_from_spec(spec)
@@ -184,9 +188,12 @@ def _text(source: Path, generated: str) -> str:
     return text
 
 
-def _compiled(file: str, text: str, declarations: str, flags: Sequence[str]) -> Path:
+def _compiled(
+    file: str, text: str, declarations: str, flags: Sequence[str], cache: Path | None
+) -> Path:
     """Return the compiled file; others may be making the same one at the same time."""
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "dolfinx_feti"
+    own = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "dolfinx_feti"
+    folder = cache or own
     if (folder / file).exists():
         return folder / file
     try:

@@ -79,7 +79,7 @@ def test_no_conditions(heat, rubber):
 
 
 def test_options_of_the_compilers(heat, rubber, tmp_path):
-    """They reach both, and are not added to."""
+    """They reach both, and are not added to; the folder keeps the package's own kernels, too."""
     form_options, jit_options = {"epsilon": 1e-13}, {"cache_dir": str(tmp_path / "forms")}
     options = {"form_compiler_options": form_options, "jit_options": jit_options}
     problem = LinearProblem(heat.a, heat.L, bcs=heat.bcs, subdomains=4, **options)
@@ -88,6 +88,7 @@ def test_options_of_the_compilers(heat, rubber, tmp_path):
     agree(made > 0)
     NonlinearProblem(rubber.F, rubber.u, rubber.bcs, subdomains=4, **options)
     agree(COMM.bcast(len(list((tmp_path / "forms").iterdir()))) > made)
+    agree(COMM.bcast([p.name for p in (tmp_path / "forms").glob("kernel_*")]))
     agree(form_options == {"epsilon": 1e-13} and list(jit_options) == ["cache_dir"])
 
 

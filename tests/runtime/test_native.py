@@ -113,13 +113,14 @@ def test_folder_that_cannot_be_written(write, monkeypatch):
 def test_cache_of_another_processor(write, monkeypatch):
     """Its code has another name."""
     source = write("one.c", "int one(void) { return 1; }")
+    folder = source.parent / "kept"
     for text in ("model name: A\nflags: avx2", "model name: B\nflags: avx512f"):
         with monkeypatch.context() as patch:
             patch.setattr(native.Path, "read_text", reading(text))
             flags = native.processor_flags()
         if COMM.rank == 0 and flags:
-            native.load(source, "int one(void);", MPI.COMM_SELF, flags=flags)
-    kept = COMM.bcast(sorted(p.name for p in (source.parent / "dolfinx_feti").glob("one_*")))
+            native.load(source, "int one(void);", MPI.COMM_SELF, flags=flags, cache=folder)
+    kept = COMM.bcast(sorted(p.name for p in folder.glob("one_*")))
     agree(len(kept) == (2 if native.platform.machine() in native.MACHINES else 0))
 
 
@@ -155,7 +156,7 @@ assert code.lib.three() == 3
 def test_long_compilations_are_told(write, monkeypatch, caplog):
     """On the first process, with what is compiled and where it is kept; short ones are not."""
     source = write("slow.c", "int slow(void) { return 5; }")
-    folder, compiled = source.parent / "dolfinx_feti", native.cffi.FFI.compile
+    folder, compiled = source.parent / "kept", native.cffi.FFI.compile
 
     def slowly(*arguments, **options):
         time.sleep(0.3)
@@ -167,7 +168,7 @@ def test_long_compilations_are_told(write, monkeypatch, caplog):
         monkeypatch.setattr(native.logger, "disabled", False)
         caplog.clear()
         flags = (f"-DPATIENCE={patience}",)
-        native.load(source, "int slow(void);", COMM, flags=flags)
+        native.load(source, "int slow(void);", COMM, flags=flags, cache=folder)
         told = [m for m in caplog.messages if "slow.c" in m and str(folder) in m]
         agree(len(told) == (lines if COMM.rank == 0 else 0), caplog.messages)
 

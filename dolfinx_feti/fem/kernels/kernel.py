@@ -115,7 +115,10 @@ class Kernel:
 
 
 def create_kernels(
-    forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh, cells: Indices | None = None
+    forms: Sequence[ufl.Form],
+    mesh: dolfinx.mesh.Mesh,
+    cells: Indices | None = None,
+    cache: Path | None = None,
 ) -> list[tuple[list[int], Kernel]] | None:
     """Compile forms of integrals over cells.
 
@@ -123,6 +126,7 @@ def create_kernels(
         forms: The forms.
         mesh: Their mesh.
         cells: Owned cells that are integrated over; all if not given.
+        cache: Folder for the code in the place of the package's own.
 
     Returns:
         Kernels, one for each quadrature degree, with the numbers of their forms; None where only
@@ -157,7 +161,8 @@ def create_kernels(
     flags = [*FLAGS.split(), *processor_flags()]
     kernels = []
     for program in programs:
-        code = load(SOURCE, DECLARATION, mesh.comm, generated=program.text, flags=flags)
+        text = program.text
+        code = load(SOURCE, DECLARATION, mesh.comm, generated=text, flags=flags, cache=cache)
         kernel = Kernel(program, mesh, functions, constants, code, cells)
         kernels.append((list(program.shapes), kernel))
     return kernels
