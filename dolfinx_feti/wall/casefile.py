@@ -308,6 +308,8 @@ def _create_case(words: dict[str, Any]) -> Case:
     by_surface(conditions)  # nothing acts on a clamped surface
     fillings: dict[str, Filling] = {}
     for name, given in cavities.items():
+        one = f"[cavity.{name}]: give a volume or a windkessel, one of them"
+        _require(("volume" in given) != ("windkessel" in given), one)
         try:
             fillings[name] = Filling(**given)
         except ValueError as error:

@@ -119,6 +119,7 @@ def test_cavities(read):
 CAVITIES = [
     ("", r"\[cavity.lumen\]: give a volume or a windkessel"),
     ("volume = 1\n" + VESSELS, r"\[cavity.lumen\]: give a volume or a windkessel"),
+    ("volume = 1\n[cavity.lumen.windkessel]", r"\[cavity.lumen\]: give a volume or a windkessel"),
     ("volume = 0", r"\[cavity.lumen\] volume = 0: give a positive number in mm³"),
     ('volume = "1 l"', "volume = '1 l': .*mm³, ml"),
     ("volumes = 1", "volumes = 1: there is no such key.*'volume'"),
