@@ -110,8 +110,8 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
         return
     _check(args)
     for task in args.task:
-        numbers = args.count if task == "count" else args.processes
-        for choices, layers, processes in itertools.product(args.choices, args.layers, numbers):
+        numbers = args.choices, args.layers, _processes(args, task)
+        for choices, layers, processes in itertools.product(*numbers):
             yield {
                 "study": "scaling",
                 "task": task,
@@ -126,6 +126,10 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
                 "subdomains": args.subdomains,
                 "processes": processes,
             }
+
+
+def _processes(args: Arguments, task: str) -> Sequence[int]:
+    return args.count if task == "count" else args.processes
 
 
 def _run(case: Record, keep: Keep, args: Arguments, _comm: MPI.Comm) -> None:
@@ -156,7 +160,7 @@ def _check(args: Arguments) -> None:
             f"--processes {max(args.processes)}: there are {cores} cores, and shared ones measure "
             "nothing; --count takes any number"
         )
-    most = max(*args.processes, *args.count)
+    most = max(P for task in args.task for P in _processes(args, task))
     if most > args.subdomains:
         raise ValueError(
             f"{most} processes need as many --subdomains, and there are {args.subdomains}"
