@@ -39,13 +39,16 @@ class Records:
         """Read the file, which the first process writes. Collective.
 
         Raises:
-            OSError: It cannot be written. On all processes.
-            ValueError: It holds something else. On all processes.
+            ValueError: It cannot be written, or holds something else. On all processes.
         """
 
         def read_or_create() -> list[Record]:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.open("a").close()
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.open("a").close()
+            except OSError as error:
+                message = f"--json '{path}' cannot be used: {error}. Name another file."
+                raise ValueError(message) from error
             return read_records(path, known, writer, empty=True)
 
         self._path, self._comm = path, comm
@@ -124,7 +127,8 @@ def read_records(path: Path, known: Known, writer: str, *, empty: bool = False) 
     except ValueError:
         sound = False
     if not sound or not (records or empty):
-        raise ValueError(f"'{path}' holds no records of {writer}, but something else: name another")
+        other = "" if sound else ", but something else"
+        raise ValueError(f"'{path}' holds no records of {writer}{other}: name another")
     return records
 
 

@@ -6,8 +6,11 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
+import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -38,6 +41,15 @@ def test_record_of_the_first_process_counts(tmp_path):
     agree(Records(path, COMM).all(key) == [again])
 
 
+def test_folder_that_is_gone_is_noticed_by_all_processes(tmp_path):
+    """The first process alone writes, and fails."""
+    records = Records(tmp_path / "folder/records.json", COMM)
+    records.keep({"case": 1}, {})
+    on_first(lambda: shutil.rmtree(tmp_path / "folder"))
+    with raises(OSError, "folder/records.json' cannot be written .No such file.*make room"):
+        records.keep({"case": 2}, {})
+
+
 def test_full_disk_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     path = tmp_path / "records.json"
     records = Records(path, COMM)
@@ -55,6 +67,19 @@ def test_full_disk_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     agree(on_first(lambda: [each.name for each in tmp_path.iterdir()]) == ["records.json"])
     records.keep({"case": 3}, {})
     agree(len(on_first(lambda: json.loads(path.read_text()))) == 3, "what was found is kept")
+
+
+class Broken(io.StringIO):
+    """A stream that takes nothing: a full disk behind it, or a terminal that is gone."""
+
+    def write(self, _text: str) -> int:
+        raise BrokenPipeError("nobody reads this")
+
+
+def test_line_that_cannot_be_printed_ends_all_processes():
+    """The first process alone prints."""
+    with raises(BrokenPipeError, "nobody reads this"):
+        command.say("a line", COMM, Broken())
 
 
 def squares(run=None, **changes: object) -> Study:
@@ -124,7 +149,19 @@ def test_file_of_something_else_is_refused(tmp_path, capsys, text, page):
         squares().main(words, COMM)
     found = COMM.bcast(capsys.readouterr().err)
     agree(caught.value.code == 2 and "other.json' holds no records of squares" in found, found)
+    agree(("something else" in found) == (text not in ("", "[]")), found)
     agree(on_first(file.read_text) == text and not folder.exists())
+
+
+def test_file_that_cannot_be_written_is_refused(tmp_path, capsys):
+    """By the argument that names it, on all processes."""
+    with pytest.raises(SystemExit) as caught:
+        squares().main(["--x", "1", "--json", COMM.bcast(str(tmp_path))], COMM)
+    found = COMM.bcast(capsys.readouterr().err)
+    agree(caught.value.code == 2, caught.value.code)
+    agree(
+        re.search(r"--json '.*' cannot be used: .*directory.*\. Name another file\.", found), found
+    )
 
 
 @pytest.mark.parametrize(
