@@ -201,7 +201,9 @@ def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
         for ax, (name, title) in zip(axes[0], titles.items(), strict=True):
             for i, (given, (_, colour)) in enumerate(ROUTES.items()):
                 at = np.arange(len(rows)) + 0.27 * (i - 1)
-                ax.barh(at, [row.get(f"{given}_{name}", 0.0) for row in rows], 0.25, color=colour)
+                ax.barh(
+                    at, [row.get(f"{given}_{name}", math.nan) for row in rows], 0.25, color=colour
+                )
             names = [row["material"] for row in rows]
             ax.set(yticks=range(len(rows)), yticklabels=names, xlabel="CPU seconds", title=title)
             ax.invert_yaxis()

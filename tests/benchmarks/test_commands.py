@@ -11,9 +11,11 @@ import re
 import runpy
 import sys
 
+import numpy as np
 import pytest
 from wall_files import ROOT
 
+from benchmarks import edit
 from benchmarks.common.compare import tables
 
 pytest.importorskip("matplotlib")
@@ -76,6 +78,14 @@ def test_page_of_some_records(name, tmp_path):
         (tmp_path / "some.json").write_text(json.dumps([record]))
         page = study.write_page([tmp_path / "some.json"], tmp_path)
         assert "| None |" not in page and page.count("\n## ") <= whole
+
+
+def test_figure_leaves_out_a_route_without_a_record(tmp_path, monkeypatch):
+    """It has no bar, not one of 0 s."""
+    drawn = []
+    monkeypatch.setattr("matplotlib.axes.Axes.barh", lambda _, at, s, *__, **___: drawn.append(s))
+    edit.STUDY.draw([{"material": "HGO", "given": "dolfinx", "first": 2.0, "again": 1.0}], tmp_path)
+    np.testing.assert_array_equal(drawn, np.transpose([[2.0, np.nan, np.nan, 1.0, np.nan, np.nan]]))
 
 
 def test_figure_shows_the_fastest_of_plain_first_steps(tmp_path):
