@@ -22,15 +22,24 @@ from benchmarks.common.pages import Fields
 from benchmarks.common.records import Record, Records
 from benchmarks.common.study import Arguments, Study
 from benchmarks.common.verification import inf_sup, published, tube
+from benchmarks.common.verification.cases import CASES
+from benchmarks.common.walls.inflated_tube import ELEMENTS
 
 PARTS = {"published": published, "tube": tube, "inf-sup": inf_sup}
 
-#: The field that the records of each part have alone.
-OWN = {"case": published, "element": tube, "pair": inf_sup}
+#: The field that the records of each part have alone, and its values.
+OWN = {
+    published: ("case", list(CASES)),
+    tube: ("element", list(ELEMENTS)),
+    inf_sup: ("pair", list(inf_sup.PAIRS)),
+}
 
 
 def _part(record: Record) -> ModuleType | None:
-    return next((part for field, part in OWN.items() if field in record), None)
+    for part, (field, values) in OWN.items():
+        if record.get(field) in values:
+            return part
+    return None
 
 
 def _options(parser: argparse.ArgumentParser) -> None:

@@ -46,6 +46,13 @@ def test_records_and_their_page(tmp_path):
     agree("| Q2–P1disc | 0.395 | – | – | 0 |" in text, text)
 
 
+def test_records_of_another_study_are_not_its_own():
+    """Their fields may have the same names; it knows its values."""
+    for field, own in (("case", "land-1"), ("element", "p2-p0"), ("pair", "q1-p0")):
+        agree(STUDY.known({field: own}))
+        agree(not any(STUDY.known({field: other}) for other in ("cube", 1, None, ["p2-p0"])))
+
+
 @pytest.mark.serial
 def test_one_displacement():
     """2³ cubes, Q1–P0: a node moves; a pressure ±1 is felt by one component. ∫|∇φ|² = h/3 · 8/3."""
