@@ -274,12 +274,16 @@ def _updater(
         if field.function_space.ufl_element().pullback == ufl.identity_pullback:
             return lambda: copy.interpolate(field)
     points, weights = (interpolation_points(V), None) if rule is None else rule
-    φ = V.element.basix_element.tabulate(0, points)[0, :, :, 0]
-    project = np.eye(len(points)) if weights is None else projection(φ, weights)
     values = _evaluator(field, V.mesh, points)
+    project = None
+    if weights is not None:
+        φ = V.element.basix_element.tabulate(0, points)[0, :, :, 0]
+        project = projection(φ, weights)
 
     def update() -> None:
-        coefficients = np.einsum("iq,cqk->cik", project, values())  # c = Π f
+        coefficients = values()
+        if project is not None:
+            coefficients = np.einsum("iq,cqk->cik", project, coefficients)  # c = Π f
         copy.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[: len(coefficients)]] = coefficients
         copy.x.scatter_forward()
 

@@ -66,6 +66,22 @@ def test_data_at_quadrature_points_are_projected(tmp_path, kind, cell, degree):
             equal(copy.x.array[dofs], factor * wanted, 100 * ROUNDING)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_value_that_is_no_number_spoils_its_node_only(tmp_path, kind):
+    """What has no data at quadrature points is interpolated: 1/x, infinite where x = 0."""
+    mesh = cube(3, 2)
+    v = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1)), name="v")
+    x = ufl.SpatialCoordinate(mesh)
+    with FieldWriter(tmp_path / "o", [v], {"e": 1 / x[0]}, kind=kind) as writer:
+        copy = writer._copies[-1]
+        V = copy.function_space
+        owned = np.arange(V.dofmap.index_map.size_local)
+        at = V.tabulate_dof_coordinates()[owned, 0]
+        with np.errstate(divide="ignore"):
+            equal(copy.x.array[owned][at > 0.1], 1 / at[at > 0.1], 100 * ROUNDING)
+            agree(np.isinf(copy.x.array[owned][at < 0.1]).all())
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("kind", KINDS)
 def test_data_at_quadrature_points_are_written_there(tmp_path, kind, dim):
