@@ -137,7 +137,11 @@ class Boundary:
     planes: tuple[tuple[dolfinx.fem.Constant, float], ...]
 
     def set_stretch(self, stretch: float) -> None:
-        """Set the axial prestretch λ [-], 1 at rest, of what is clamped or slides."""
+        """Set the axial prestretch λ [-], 1 at rest, of what is clamped or slides.
+
+        Raises:
+            ValueError: λ is not positive, or the conditions were applied without an axis.
+        """
         if self.axis is None:
             raise ValueError("There is no axis to stretch along: give apply_conditions(axis=…).")
         require_positive(stretch=stretch)

@@ -92,6 +92,7 @@ def create_wall(
             without a name counts as no tag.
 
     Raises:
+        TypeError: An argument is no mesh, no tags, or no names.
         ValueError: Tags are of another dimension or mesh, a cell has none, or no facet has one. On
             all processes.
     """
@@ -178,7 +179,11 @@ def extent(mesh: dolfinx.mesh.Mesh) -> tuple[Array, Array]:
 
 
 def plane(wall: Wall, name: str) -> tuple[int, float]:
-    """Return the axis normal to a plane surface, and its coordinate there [mm]. Collective."""
+    """Return the axis normal to a plane surface, and its coordinate there [mm]. Collective.
+
+    Raises:
+        ValueError: The wall has no such surface, or it lies in no plane normal to x, y or z.
+    """
     low, high = extent(wall.mesh)
     entities = facets(wall, name)
     x: Array = np.zeros((0, 3))
@@ -210,7 +215,11 @@ def surface_measure(wall: Wall) -> ufl.Measure:
 
 
 def by_layer(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Function:
-    """Return a piecewise constant function with one value, which is finite, for each layer."""
+    """Return a piecewise constant function with one value in each layer.
+
+    Raises:
+        ValueError: A layer has no value, a value names no layer, or it is not finite.
+    """
     require_within(-math.inf, math.inf, values, remedy="a finite number")
     if set(values) != set(wall.layers):
         raise ValueError(

@@ -110,7 +110,11 @@ def write_wall(path: Path | str, wall: Wall) -> None:
     """Write a wall for all processes to read, whatever their number. Collective.
 
     Two files are written aside and put in place at the end, `wall.h5` beside `wall.xdmf`, in
-    millimetres; the folder is made. Another ending of the path is a ValueError.
+    millimetres; the folder is made.
+
+    Raises:
+        ValueError: The path has another ending than ``.xdmf``. On all processes.
+        OSError: The folder cannot be written in. On all processes.
     """
     path, comm = Path(path), wall.mesh.comm
     if path.suffix != ".xdmf":

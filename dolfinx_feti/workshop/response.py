@@ -78,7 +78,8 @@ class DataSet:
     """
 
     path: MaterialTest  #: The path, with one state per measurement
-    #: Measured [kPa], (n, k): σ₁₁ of a uniaxial path, σ₁₁ and σ₂₂ of a biaxial one, σ₁₂ of shear
+    #: Measured [kPa], (n, k), or (n,) if k = 1: σ₁₁ of a uniaxial path, σ₁₁ and σ₂₂ of a biaxial
+    #: one, σ₁₂ of shear
     stress: Array
     measure: Measure  #: ``cauchy`` (force per deformed area) or ``piola`` (per reference area)
     weight: float = 1.0  #: Weight of the residuals, one over the noise up to a factor
@@ -127,6 +128,9 @@ def plot_responses(
         data: What was measured, as ``found.data``.
         names: Names of the responses in the legend, by default those of the paths.
         measure: ``cauchy`` or ``piola``, of the responses; data sets have their own.
+
+    Raises:
+        ValueError: There is no response, the names are more or fewer, or the measure is unknown.
     """
     if not responses:
         raise ValueError("responses is empty: give at least one response.")
