@@ -125,6 +125,36 @@ def test_plan_holds_the_papers_table_first_and_no_case_twice():
     agree({case.subdomains_per_edge for case in plan} == {2, 4, 8, 16, 32})
 
 
+def record_of(kind: str, pc: str, level: int, **changes: object) -> dict:
+    """Return a record with the paper's own values, and half of its error."""
+    its, condition = paper.LINEAR[kind, pc, level]
+    case = {"type": kind, "pc": pc, "level": level, "degree": 1, "iterations": its}
+    found = {"condition_number": condition, "l2_error": 0.5 * paper.L2_ERRORS[kind, level]}
+    return case | found | changes
+
+
+def test_deviations_from_the_paper():
+    everything = [record_of(*key) for key in paper.LINEAR]
+    agree(cube.deviations(everything) == (0.0, 0))
+    small(cube.error_scale(everything) - 2.0, 1e-12)
+    worse = record_of("classical", "lumped", 3, condition_number=100.0, iterations=90)
+    condition, iterations = cube.deviations([*everything, worse])
+    small(condition - (1.0 - 100.0 / 105.9), 1e-12)
+    agree(iterations == 5, iterations)
+
+
+def test_growth_is_fitted_to_the_square_of_a_logarithm():
+    """√κ = 2 + 0.7 ln 2^(l − 1)."""
+    of_level = ((2.0 + 0.7 * np.log(2.0 ** (level - 1))) ** 2 for level in range(1, 5))
+    records = [
+        record_of("classical", "dirichlet", level, condition_number=κ)
+        for level, κ in enumerate(of_level, start=1)
+    ]
+    small(max(abs(np.subtract(cube.fit_growth(records), (2.0, 0.7, 1.0)))), 1e-13)
+    records[-1]["condition_number"] *= 2.0
+    agree(cube.fit_growth(records)[2] > 1.1)
+
+
 def test_cube_of_fewer_subdomains_than_processes_is_left(study_of):
     """Each case is run once; its coarse set-up is a part of the set-up."""
     cases = [replace(SMALL, level=level) for level in (1, 2)]

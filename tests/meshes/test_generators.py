@@ -126,7 +126,11 @@ def test_wrong_words(tmp_path, monkeypatch, capsys, module, words, said):
         (vessel.create_vessel, {"layers": {"wall": 0.0}}, "the share 0.0 of 'wall'"),
         (vessel.create_vessel, {"layers": {"lumen": 1.0}}, "'lumen' is the name of a surface"),
         (vessel.create_vessel, {"layers": {}}, "layers is empty: name a layer"),
-        (vessel.create_vessel, {"layers": {"wall": 1.0}, "through": (1, 1)}, "the 1 layers"),
+        (
+            vessel.create_vessel,
+            {"layers": {"wall": 1.0}, "through": (1, 1)},
+            r"through=\(1, 1\): each of the 1 layers",
+        ),
         (vessel.create_vessel, {"through": (0, 1)}, r"through=\(0, 1\)"),
     ],
 )

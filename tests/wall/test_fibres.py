@@ -296,6 +296,15 @@ def test_no_direction_anywhere(tmp_path):
 # -- a wall of one's own, end to end
 
 
+def test_the_example():
+    wall = read_wall(EXAMPLE, COMM)
+    frame = fibre_frame(wall)
+    is_frame(frame)
+    agree(worst(degrees(vectors(frame.circumferential), cylindrical(wall)[0])) < 6)
+    a, b = (vectors(f) for f in fibre_families(wall, frame))
+    agree(np.all(np.abs(np.sum(a * b, axis=1)) < 1))
+
+
 def test_the_readmes_gmsh_example(tmp_path, monkeypatch):
     """README.md's code makes a wall that goes all the way."""
     pytest.importorskip("gmsh")

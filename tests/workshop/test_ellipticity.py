@@ -111,13 +111,21 @@ def test_uniaxial_strain_of_saint_venant_kirchhoff():
     assert scan.lost == pytest.approx((2 - np.sqrt(2),), abs=1e-7)
 
 
-@pytest.mark.parametrize("kappa", [np.inf, 30.0])
+SHEARED, COMPRESSED = (0.75, 1.4, 1 / (0.75 * 1.4)), (0.6, 1.0, 1.0)
+ELLIPTIC = [energies.mooney_rivlin, energies.hgo, energies.goh, energies.reinforced]
+
+
 @pytest.mark.parametrize(
-    "psi", [energies.mooney_rivlin, energies.hgo, energies.goh, energies.reinforced]
+    ("psi", "kappa", "stretches"),
+    [
+        *((psi, kappa, SHEARED) for psi in ELLIPTIC for kappa in (np.inf, 30.0)),
+        (energies.saint_venant, 0.0, COMPRESSED),
+    ],
 )
-def test_least_eigenvalue_is_the_least_of_all(psi, kappa):
+def test_least_eigenvalue_is_the_least_of_all(psi, kappa, stretches):
+    """Also a negative one, with n and m neither along nor across the axis of compression."""
     user = material(psi, kappa=kappa)
-    F = rotation(23) @ np.diag([0.75, 1.4, 1 / (0.75 * 1.4)]) @ rotation(29)
+    F = rotation(23) @ np.diag(stretches) @ rotation(29)
     at = evaluate(user, F)
     incompressible = user.incompressible
     (least,), (n,) = least_eigenvalues(at.F, at.A, incompressible=incompressible)
@@ -128,6 +136,7 @@ def test_least_eigenvalue_is_the_least_of_all(psi, kappa):
     assert np.linalg.norm(n) == pytest.approx(1)
     found = brute_force(F, at.A[0], incompressible)
     assert least <= found + 1e-12 and found - least < 0.02 * np.abs(A).max()
+    assert least < 0 or stretches is not COMPRESSED
 
 
 def test_pressure_does_not_count_if_incompressible():
