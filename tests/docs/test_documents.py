@@ -132,6 +132,20 @@ def test_options_and_their_defaults_are_those_of_the_code():
     assert dict(rows) == {option.name: str(option.default) for option in fields(FETIOptions)}
 
 
+def test_theory_names_files_that_exist():
+    """As *feti/coarse: gathered, group; loading* below a heading, or [feti/subdomain: soft]."""
+    text = (ROOT / "docs/theory.md").read_text(encoding="utf-8")
+    found = re.findall(r"^\*([a-z/]+.*)\*$|\[([a-z/]+: [a-z, ]+)\]", text, re.M)
+    places = [part.partition(": ") for pair in found for part in "".join(pair).split("; ")]
+    paths = [
+        ROOT / "dolfinx_feti" / folder / name
+        for folder, _, names in places
+        for name in names.split(", ")
+    ]
+    assert len(paths) > 40
+    assert not [path for path in paths if not (path.is_dir() or path.with_suffix(".py").exists())]
+
+
 def test_changelog_is_release_notes():
     """Short lines in the usual order, with links that lead somewhere."""
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
