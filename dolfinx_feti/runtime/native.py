@@ -37,7 +37,7 @@ import cffi
 import numpy.typing as npt
 from scipy.linalg import cython_blas, cython_lapack
 
-from dolfinx_feti.runtime.collective import on_all, reason
+from dolfinx_feti.runtime.collective import on_all, on_first, reason
 
 #: Machines of which the compiler knows ``-march=native``.
 MACHINES = ("x86_64", "aarch64")
@@ -45,13 +45,25 @@ MACHINES = ("x86_64", "aarch64")
 #: Seconds of a compilation without a word.
 PATIENCE = 2.0
 
+#: Source, declarations, generated code, flags and cache, see :func:`load`.
+_Key = tuple[Path, str, str, tuple[str, ...], Path | None]
+
 logger = logging.getLogger("dolfinx_feti.compilation")
 
 #: Attribute of communicators: what all of their processes have loaded.
 _SEEN = MPI.Comm.Create_keyval()
 
+#: What this process has loaded.
+_loaded: dict[object, ModuleType] = {}
+
+
+def _temporary(folder: Path | None = None) -> tempfile.TemporaryDirectory[str]:
+    """Create a folder for a while; what others hold open in it may stay, as NFS has it."""
+    return tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True)
+
+
 #: Cache of this run where the other one cannot be written.
-_scratch = functools.cache(tempfile.TemporaryDirectory)
+_scratch = functools.cache(_temporary)
 
 
 def load(
@@ -68,7 +80,8 @@ def load(
     Args:
         source: The file; files that it includes in quotes are beside it.
         declarations: What of it is called and read, in C.
-        comm: Communicator of all processes that load it; the others find what the first compiles.
+        comm: Communicator of all processes that load it. The first one compiles; others do only
+            where they do not see its file.
         generated: Code that takes the place of ``/* generated */`` in the file.
         flags: For the compiler.
         cache: Folder in the place of the package's own.
@@ -89,10 +102,10 @@ def load(
         seen = set[object]()
         comm.Set_attr(_SEEN, seen)
     if key not in seen:
-        on_all(lambda: _module(*key) if comm.rank == 0 else None, comm)
-        on_all(lambda: _module(*key), comm)
+        path = on_first(lambda: str(_module(key).__file__), comm)
+        on_all(lambda: _module(key, path), comm)
         seen.add(key)
-    return _module(*key)
+    return _module(key)
 
 
 @contextlib.contextmanager
@@ -157,16 +170,17 @@ def _hash(texts: Iterable[str]) -> str:
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
-@functools.cache
-def _module(
-    source: Path, declarations: str, generated: str, flags: tuple[str, ...], cache: Path | None
-) -> ModuleType:
-    """Compile and load, see :func:`load`."""
+def _module(key: _Key, path: str = "") -> ModuleType:
+    """Load what was compiled to a path, or compile it, unless that is done; see :func:`load`."""
+    if key in _loaded:
+        return _loaded[key]
+    source, declarations, generated, flags, cache = key
     try:
         text, suffix = _text(source, generated), str(sysconfig.get_config_var("EXT_SUFFIX"))
         known_by = _hash([text, declarations, *flags, version("cffi"), suffix])[:16]
         name = f"{source.stem}_{known_by}"
-        path = _compiled(name + suffix, text, declarations, flags, cache)
+        if not Path(path).is_file():
+            path = str(_compiled(name + suffix, text, declarations, flags, cache))
         spec = importlib.util.spec_from_file_location(name, path)
         assert spec is not None and spec.loader is not None, path
         module = importlib.util.module_from_spec(spec)
@@ -176,7 +190,7 @@ def _module(
             f"{source.name} cannot be compiled ({reason(error)}): check the C compiler, which FFCx "
             "needs, too (variable CC), and that the cache can be written (variable XDG_CACHE_HOME)."
         ) from error
-    return module
+    return _loaded.setdefault(key, module)
 
 
 def _text(source: Path, generated: str) -> str:
@@ -198,11 +212,11 @@ def _compiled(
         return folder / file
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        work = tempfile.TemporaryDirectory(dir=folder)
+        work = _temporary(folder)
     except OSError as error:
         logger.info(f"compiled code is not kept: {reason(error)}")
         folder = Path(_scratch().name)
-        work = tempfile.TemporaryDirectory(dir=folder)
+        work = _temporary(folder)
     name, builder = file.partition(".")[0], cffi.FFI()
     builder.cdef(declarations)
     builder.set_source(name, text, extra_compile_args=list(flags))

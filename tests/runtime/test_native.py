@@ -51,7 +51,7 @@ def test_compiled_once_and_kept(write, monkeypatch):
         patch.setattr(native, "on_all", lambda *_: agree(False))
         patch.setattr(native, "_text", lambda *_: agree(False))
         native.load(source, "void twice(int, double *);", COMM)
-    native._module.cache_clear()
+    monkeypatch.setattr(native, "_loaded", {})
     monkeypatch.setattr(native.cffi.FFI, "compile", lambda *_, **__: agree(False))
     native.load(source, "void twice(int, double *);", COMM).lib.twice(3, native.pointer(module, x))
     agree(np.array_equal(x, [0.0, 4.0, 8.0]))
@@ -103,11 +103,18 @@ def test_communicators_of_some_processes():
     agree(own in (None, module))
 
 
-def test_folder_that_cannot_be_written(write, monkeypatch):
-    """The code is compiled for this run."""
+@pytest.mark.parametrize("busy", [False, True])
+def test_folder_that_cannot_be_written(busy, write, monkeypatch):
+    """The first process compiles for this run, perhaps in a folder with files that are in use."""
     source = write("half.c", "int half(int n) { return n / 2; }")
     monkeypatch.setenv("XDG_CACHE_HOME", str(source))
-    agree(native.load(source, "int half(int);", COMM).lib.half(8) == 4)
+    if busy:
+        monkeypatch.setattr(os, "rmdir", lambda *_, **__: os.listdir(source))  # an OSError
+    module = native.load(source, "int half(int);", COMM, flags=(f"-DBUSY={busy}",))
+    agree(module.lib.half(8) == 4)
+    agree(len(set(COMM.allgather(module.__file__))) == 1, module.__file__)
+    again = native.load(source, "int half(int);", MPI.COMM_SELF, flags=(f"-DBUSY={busy}",))
+    agree(again is module)
 
 
 def test_cache_of_another_processor(write, monkeypatch):
