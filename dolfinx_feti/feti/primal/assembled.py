@@ -133,7 +133,10 @@ def shares_of_neighbours(copies: Copies, block: Block) -> Callable[[int], list[S
             return pair.rows, received[pair.i, pair.j]
         return pair.rows, block(pair.j - first, pair.copies)
 
-    return lambda i: [share(pair) for pair in common if pair.i == i + first]
+    by_subdomain: list[list[_Common]] = [[] for _ in copies.blocks]
+    for pair in common:
+        by_subdomain[pair.i - first].append(pair)
+    return lambda i: [share(pair) for pair in by_subdomain[i]]
 
 
 def _common_rows(copies: Copies) -> tuple[list[_Common], int]:
