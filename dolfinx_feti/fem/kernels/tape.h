@@ -107,6 +107,12 @@ INSTRUCTION(sum)
     NEXT(0);
 }
 
+INSTRUCTION(sqrt)
+{
+    for (int l = 0; l < LANES * POINTS; ++l) NUMBERS(0)[l] = sqrt(NUMBERS(1)[l]);
+    NEXT(2);
+}
+
 // Functions of WIDE numbers at once, which glibc's libmvec has, or NULL.
 #ifdef __AVX512F__
 enum { WIDE = 8 };

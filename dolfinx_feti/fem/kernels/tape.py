@@ -24,12 +24,12 @@ import numpy as np
 
 from dolfinx_feti.runtime.arrays import Indices
 
-#: Functions of one argument.
-FUNCTIONS = "exp log sqrt cos sin tan cosh sinh tanh acos asin atan erf".split()
+#: Functions of one argument that are called; a square root is an instruction of the processor.
+FUNCTIONS = "exp log cos sin tan cosh sinh tanh acos asin atan erf".split()
 
 #: Instructions, by UFL's names where it has one.
 _CODES = (
-    "end number constant weight determinant interpolate sum product quotient power abs "
+    "end number constant weight determinant interpolate sum product quotient power abs sqrt "
     "function choose lt gt le ge eq ne and_condition or_condition not_condition"
 ).split()
 
