@@ -29,6 +29,7 @@ Array = npt.NDArray[np.float64]
 
 #: Elements by name: cell, degree of u, condensed fields (of three, the first is a dilation).
 ELEMENTS = {
+    "p1-p0": ("tetrahedron", 1, [("DG", 0)]),
     "p2-p0": ("tetrahedron", 2, [("DG", 0)]),
     "p2-p1d": ("tetrahedron", 2, [("DG", 1)]),
     "q1-p0": ("hexahedron", 1, [("DG", 0)]),

@@ -15,7 +15,7 @@ import pytest
 from collective import COMM, agree, dense, equal, raises, small
 from mixed import ELEMENTS, Block, Mixed, block, by_cell, by_place, solve_assembled
 from problems import owned
-from walls import LUMEN, lumen_measure, tube, wall
+from walls import LUMEN, Wall, lumen_measure, tube, wall
 
 import dolfinx
 import ufl
@@ -33,7 +33,7 @@ def torn_system() -> Iterator[Callable[..., System]]:
     """Tear a wall, without a solver."""
     made = []
 
-    def create(body: Block, subdomains: int = 5) -> System:
+    def create(body: Wall | Block, subdomains: int = 5) -> System:
         decomposition = decompose(body.u.function_space.mesh, subdomains)
         condensed = tuple(zip(body.F_fields, body.fields, strict=True))
         forms = Forms(body.u, body.F_u, body.J, condensed, body.energy)
@@ -98,6 +98,43 @@ def test_condensed_matrix(element, torn_system):
     actual = dense(A)
     A.destroy()
     equal(actual, expected, 1e-13)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_blocks_are_those_of_ufl(degree, torn_system):
+    """Rows of K_pu, K_pp and r_p, out of balance, as the derivatives that a user would write."""
+    body = wall(tube(), degree=degree)
+    body.load.value = loads.mmhg(10.0)
+    body.u.interpolate(
+        lambda x: 0.02 * np.stack([x[0] + x[1] * x[2], np.sin(2 * x[0]) - x[2], x[0] * x[1] * x[2]])
+    )
+    body.p.interpolate(lambda x: np.cos(3 * x[0]) + 0.5 * x[2])
+    system = torn_system(body)
+    here = system.residual()
+    V, Q = body.u.function_space, body.p.function_space
+    w, one = dolfinx.fem.Function(V), dolfinx.fem.Function(Q)
+    w.interpolate(lambda x: np.stack([np.cos(x[1]), x[2] * x[0], 1.0 + x[0]]))
+    one.x.array[:] = 1.0
+    forms = (body.F_p, ufl.derivative(body.F_p, body.u, w), ufl.derivative(body.F_p, body.p, one))
+    r_p, slope, K_pp = (dolfinx.fem.assemble_vector(dolfinx.fem.form(form)).array for form in forms)
+    n = Q.dofmap.index_map.size_local
+    agree(min(np.abs(a[:n]).min(initial=1.0) for a in (r_p, slope)) > 0.0)
+    for factor in (0.0, 1.0):
+        _, dp, _ = system.increment(here, factor * owned(w))
+        equal(dp[:n], -(r_p + factor * slope)[:n] / K_pp[:n], 1e-12)
+
+
+def test_pressure_obeys_its_equation():
+    """Once Newton has converged, p = κ · mean(J − 1) on each cell."""
+    body = wall(tube(), degree=1)
+    problem = body.problem(4, {"snes_rtol": 1e-12})
+    body.inflate(problem, [2.0])
+    q = ufl.TestFunction(body.p.function_space)
+    J = ufl.det(ufl.Identity(3) + ufl.grad(body.u))
+    forms = ((J - 1) * q * ufl.dx, q * ufl.dx)
+    swelling, volume = (dolfinx.fem.assemble_vector(dolfinx.fem.form(f)).array for f in forms)
+    n = len(owned(body.p))
+    equal(owned(body.p), 1000.0 * swelling[:n] / volume[:n], 1e-7)
 
 
 @pytest.mark.parametrize("element", ["p2-p0", "q2-p1d", "q2-p1d-p1d"])
