@@ -144,8 +144,8 @@ class NonlinearProblem(TornProblem):
             couplings,
             (form_compiler_options, jit_options),
             petsc_options,
-            volume_ratio=default_volume_ratio(forms) if volume_ratio is None else volume_ratio,
-            quadrature_degree=twice if quadrature_degree is None else quadrature_degree,
+            default_volume_ratio(forms) if volume_ratio is None else volume_ratio,
+            twice if quadrature_degree is None else quadrature_degree,
             **common,
         )
         self.u, system = u, self._system

@@ -85,9 +85,10 @@ class TornProblem:
         scalars: Sequence[Coupling],
         compilers: tuple[Mapping[str, object] | None, Mapping[str, object] | None],
         petsc_options: Mapping[str, object] | None,
-        *,
         volume_ratio: Expr | None = None,
         quadrature_degree: int = 0,
+        /,
+        *,
         subdomains: int | Integers | None = None,
         seed: int = 0,
         petsc_options_prefix: str | None = None,
@@ -96,8 +97,12 @@ class TornProblem:
         P: ufl.Form | None = None,
         kind: str | None = None,
         entity_maps: Sequence[object] | None = None,
+        **unknown: object,
     ) -> None:
         """Tear the mesh and compile the forms, which are checked; see :class:`Common`."""
+        for other in unknown:
+            problem = type(self).__name__
+            raise TypeError(f"{problem}() got an unexpected keyword argument '{other}'")
         V = forms.u.function_space
         comm = V.mesh.comm
         if entity_maps:

@@ -86,6 +86,19 @@ def test_common(create, name, wrong, message):
 
 
 @pytest.mark.parametrize(
+    ("create", "name"),
+    [
+        *((create, name) for create in (linear, nonlinear) for name in ("bad", "name", "forms")),
+        *((linear, name) for name in ("quadrature_degree", "volume_ratio")),
+    ],
+)
+def test_arguments_that_do_not_exist(create, name):
+    """What the two classes tell their base class is none of the user's."""
+    with raises(TypeError, rf"Problem\(\) got an unexpected keyword argument '{name}'"):
+        create(poisson(cube(2, 4)), **{name: None})
+
+
+@pytest.mark.parametrize(
     ("create", "name", "wrong", "message"),
     [
         (linear, "feti_pctype", "lumped", "-bad_feti_pctype.*did you mean -bad_feti_pc_type"),
