@@ -178,8 +178,8 @@ def separated(
 ) -> tuple[ufl.Form | Sequence[ufl.Form], Any, list[ScalarEquation]]:
     """Take the scalars on real spaces out of a problem in blocks; leave another one alone.
 
-    F are residuals tested with v and, for each s in the order of u, in its real space; or a
-    Lagrangian in u and s. Returns F in constants, the unknown, and the equations of the scalars.
+    F are residuals tested with v and, for each s, in its real space, those of one space in the
+    order of u; or a Lagrangian in u and s. Returns F in constants, the unknown, and the equations.
     """
     blocks = u if isinstance(u, Sequence) else []
     scalars = [w for w in blocks if _is_real(w.function_space)]
@@ -197,17 +197,25 @@ def separated(
     forms = [ufl.replace(form, constants) for form in F]
     if any(len(form.arguments()) != 1 for form in forms):
         raise ValueError("F holds a form without a test function, or with more: give residuals.")
-    spaces = [form.arguments()[0].ufl_function_space() for form in forms]
-    rest = [form for form, V in zip(forms, spaces, strict=True) if not _is_real(V)]
-    residuals = [form for form, V in zip(forms, spaces, strict=True) if _is_real(V)]
-    if [V for V in spaces if _is_real(V)] != [s.function_space for s in scalars]:
+    spaces = [s.function_space for s in scalars]
+    tested = [form.arguments()[0].ufl_function_space() for form in forms]
+    rest = [form for form, V in zip(forms, tested, strict=True) if not _is_real(V)]
+    if len(forms) - len(rest) != len(scalars):
         raise ValueError(
-            f"F has {len(residuals)} residuals tested in real spaces for {len(scalars)} scalars: "
-            "give one for each, in the order of u."
+            f"F has {len(forms) - len(rest)} residuals tested in real spaces for {len(scalars)} "
+            "scalars: give one for each."
         )
     equations = []
-    for (s, constant), form in zip(constants.items(), residuals, strict=True):
-        (test,), n = form.arguments(), s.ufl_shape
+    for i, (s, constant) in enumerate(constants.items()):
+        V, n = s.function_space, s.ufl_shape
+        own = [form for form, W in zip(forms, tested, strict=True) if W == V]
+        if len(own) != spaces.count(V):
+            raise ValueError(
+                f"F has {len(own)} residuals tested in the space of the scalar '{s.name}', which "
+                f"{spaces.count(V)} scalars are on: test that of each scalar in its own space."
+            )
+        form = own[spaces[:i].count(V)]
+        (test,) = form.arguments()
         units = [ufl.unit_vector(i, n[0]) for i in range(n[0])] if n else [ufl.as_ufl(1.0)]
         c = tuple(ufl.replace(form, {test: e}) for e in units)
         equations.append(ScalarEquation(constant, c, mirror=s))

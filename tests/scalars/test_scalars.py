@@ -234,6 +234,32 @@ def test_pure_neumann_poisson_on_a_real_space():
     equal(owned(u), owned(w), 1e-8)
 
 
+def test_residuals_belong_to_scalars_by_their_spaces():
+    """In any order where each space occurs once; what does not fit is named."""
+    scifem = pytest.importorskip("scifem")
+    mesh = cube(2, 4)
+    R1, R2 = (scifem.create_real_functionspace(mesh, shape) for shape in ((), (2,)))
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    u, m, s = (dolfinx.fem.Function(W, name=n) for W, n in ((V, "u"), (R2, "m"), (R1, "s")))
+    (v, t2, t1), x = map(ufl.TestFunction, (V, R2, R1)), ufl.SpatialCoordinate(mesh)
+    F_u = ufl.inner(ufl.grad(u), ufl.grad(v)) + ufl.dot(m, v) + s * (x[1] * v[0] - x[0] * v[1])
+    F_m, F_s = ufl.dot(u, t2), (x[1] * u[0] - x[0] * u[1] - 0.1) * t1
+    F_u, F_m, F_s = (form * ufl.dx for form in (F_u, F_m, F_s))
+    found, common = [], {"subdomains": 4, "petsc_options": EXACT}
+    for F in ([F_u, F_m, F_s], [F_u, F_s, F_m], [F_s, F_u, F_m]):
+        for f in (u, m, s):
+            f.x.array[:] = 0.0
+        NonlinearProblem(F, [u, m, s], **common).solve()
+        found.append(np.append(m.x.array, s.x.array))
+    agree(np.abs(found[0]).min() > 1e-3, found)
+    for other in found[1:]:
+        equal(other, found[0], 1e-8)
+    with raises(ValueError, "0 residuals tested in the space of the scalar 'm', which 1 scalars"):
+        NonlinearProblem([F_u, F_s, F_s], [u, m, s], **common)
+    with raises(ValueError, "1 residuals tested in real spaces for 2 scalars: give one for each"):
+        NonlinearProblem([F_u, F_m], [u, m, s], **common)
+
+
 def test_scalars_do_not_meet_condensed_fields():
     """A cell eliminates its fields alone, so that neither equation may hold the other's unknown."""
     octant = balloon(2)
