@@ -117,7 +117,7 @@ def require_forms(**forms: object) -> None:
 
 def _refuse_blocks(name: str, given: object) -> None:
     """Refuse several forms or functions."""
-    if not isinstance(given, Sequence):
+    if not isinstance(given, Sequence) or isinstance(given, str):
         return
     if len(given) == 1:
         raise ValueError(f"{name} is a list of one: take it out of the list.")
@@ -134,7 +134,7 @@ def _spaces(part: object) -> Iterator[dolfinx.fem.FunctionSpace]:
         yield part.function_space
     elif isinstance(part, ufl.Form):
         yield from (argument.ufl_function_space() for argument in part.arguments()[:1])
-    elif isinstance(part, Sequence):
+    elif isinstance(part, Sequence) and not isinstance(part, str):
         for entry in part:
             yield from _spaces(entry)
 

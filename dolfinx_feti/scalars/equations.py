@@ -182,6 +182,8 @@ def separated(
     order of u; or a Lagrangian in u and s. Returns F in constants, the unknown, and the equations.
     """
     blocks = u if isinstance(u, Sequence) else []
+    if not all(isinstance(w, dolfinx.fem.Function) for w in blocks):
+        return F, u, []
     scalars = [w for w in blocks if _is_real(w.function_space)]
     if not scalars:
         return F, u, []

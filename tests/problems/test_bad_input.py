@@ -311,6 +311,8 @@ def form_changes(body: Wall) -> list[tuple[dict[str, object], str]]:
         ({"F": whole, "energy": twice, **alone}, "energy is not F, .*: leave energy out"),
         ({"quadrature_degree": -1}, "degree = -1"),
         ({"F": [F_u, F_u], "u": [u, u], **alone}, f"^u {BLOCK}"),
+        *(({"u": wrong}, f"^u {BLOCK}") for wrong in (ufl.split(u)[:2], [u, 3], [u, "p"])),
+        ({"u": "up"}, "^u is 'up': give a dolfinx.fem.Function"),
         ({"J": [[J_u]]}, "^J is a list of one"),
         ({"J": [[J_u, None], [None, None]]}, "^J is a block: give the derivative of F_u in u"),
         ({"F": dolfinx.fem.form(F_u), **alone}, f"^F {COMPILED}"),
