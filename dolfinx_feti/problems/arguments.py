@@ -19,6 +19,7 @@ from ufl.finiteelement import AbstractFiniteElement
 
 from dolfinx_feti.fem.checks import check_space
 from dolfinx_feti.runtime.petsc_options import require_prefix
+from dolfinx_feti.scalars.equations import is_real
 
 __all__ = ["agreed_prefix", "checked_conditions", "require_forms", "require_function"]
 
@@ -123,6 +124,12 @@ def _refuse_blocks(name: str, given: object) -> None:
         raise ValueError(f"{name} is a list of one: take it out of the list.")
     if name == "J":
         raise ValueError("J is a block: give the derivative of F_u in u alone, or leave it out.")
+    functions = all(isinstance(part, dolfinx.fem.Function) for part in given)
+    if functions and any(is_real(f.function_space) for f in given):
+        raise ValueError(
+            f"{name} is a block of {len(given)} with scalars on real spaces: give them by "
+            "scalars=, or all by residuals, NonlinearProblem([F_u, F_s], [u, s])."
+        )
     spaces = [next(_spaces(part), None) for part in given]
     parts = [space.ufl_element() for space in spaces if space is not None]
     raise ValueError(f"{name} is a block of {len(given)}{_instead(parts)}")

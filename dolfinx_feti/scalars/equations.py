@@ -29,6 +29,7 @@ __all__ = [
     "Coupling",
     "ScalarEquation",
     "derivative_in",
+    "is_real",
     "mean_value",
     "rigid_motions",
     "separated",
@@ -184,10 +185,10 @@ def separated(
     blocks = u if isinstance(u, Sequence) else []
     if not all(isinstance(w, dolfinx.fem.Function) for w in blocks):
         return F, u, []
-    scalars = [w for w in blocks if _is_real(w.function_space)]
+    scalars = [w for w in blocks if is_real(w.function_space)]
     if not scalars:
         return F, u, []
-    others = [w for w in blocks if not _is_real(w.function_space)]
+    others = [w for w in blocks if not is_real(w.function_space)]
     if len(others) != 1:
         raise ValueError(
             f"u holds {len(others)} unknowns beside {len(scalars)} scalars on real spaces: give "
@@ -201,7 +202,7 @@ def separated(
         raise ValueError("F holds a form without a test function, or with more: give residuals.")
     spaces = [s.function_space for s in scalars]
     tested = [form.arguments()[0].ufl_function_space() for form in forms]
-    rest = [form for form, V in zip(forms, tested, strict=True) if not _is_real(V)]
+    rest = [form for form, V in zip(forms, tested, strict=True) if not is_real(V)]
     if len(forms) - len(rest) != len(scalars):
         raise ValueError(
             f"F has {len(forms) - len(rest)} residuals tested in real spaces for {len(scalars)} "
@@ -224,7 +225,7 @@ def separated(
     return rest[0] if len(rest) == 1 else rest, others[0], equations
 
 
-def _is_real(V: dolfinx.fem.FunctionSpace) -> bool:
+def is_real(V: dolfinx.fem.FunctionSpace) -> bool:
     """Tell whether a space holds one number for each component, on all processes."""
     dofmap = V.dofmap
     cells = V.mesh.topology.index_map(V.mesh.topology.dim).size_global

@@ -260,6 +260,15 @@ def test_residuals_belong_to_scalars_by_their_spaces():
         NonlinearProblem([F_u, F_m], [u, m, s], **common)
 
 
+def test_linear_problem_with_scalars_on_a_real_space():
+    """It takes them by scalars=."""
+    scifem = pytest.importorskip("scifem")
+    free = poisson(cube(2, 4), clamped=None)
+    u, R = dolfinx.fem.Function(free.V), scifem.create_real_functionspace(free.V.mesh)
+    with raises(ValueError, r"give them by scalars=, or .*Problem\(\[F_u, F_s\], \[u, s\]\)"):
+        LinearProblem(free.a, free.L, u=[u, dolfinx.fem.Function(R)])
+
+
 def test_scalars_do_not_meet_condensed_fields():
     """A cell eliminates its fields alone, so that neither equation may hold the other's unknown."""
     octant = balloon(2)
