@@ -248,17 +248,21 @@ class Stepper:
     def _recall(self, checkpoint: Checkpoint) -> list[LoadStep]:
         """Go where a checkpoint was written; return the steps that led there."""
         record: dict[str, Any] = checkpoint.record or {}
-        if record.get("kind") != self.name:
+        try:
+            if record["kind"] != self.name:
+                raise KeyError(record["kind"])
+            accepted = [load_step(step, self.kind) for step in record["steps"]]
+            past = self.state.read(checkpoint)
+        except (KeyError, TypeError) as error:
             raise ValueError(
-                f"The checkpoint in {checkpoint.folder} was not written by {self.name}: name "
-                "another folder."
-            )
-        past = self.state.read(checkpoint)
+                f"The checkpoint in {checkpoint.folder} was not written by {self.name} of "
+                "this version: name another folder."
+            ) from error
         self._length, self._met = record["increment"], record["met"]
         self._past = [*past, self.state.copy()]
         self._set_place(self.at)
         self.state.restore(self._past[-1])
-        return [load_step(step, self.kind) for step in record["steps"]]
+        return accepted
 
 
 @contextmanager

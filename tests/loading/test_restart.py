@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from collective import COMM, agree, equal, raises, small
 from states import ROUNDING
-from walls import tube, wall
+from walls import Wall, tube, wall
 
 from dolfinx_feti import loads
 from dolfinx_feti.loading.checkpoint import Checkpoint
@@ -26,8 +26,9 @@ def follow(
     restart: bool,
     rtol: float | None = None,
     on_step: Callable[[LoadStep], object] | None = None,
+    body: Wall | None = None,
 ):
-    body = wall(tube(around=4, along=2), degree=1)
+    body = body or wall(tube(around=4, along=2), degree=1)
     steps = follow_load(
         body.problem(3),
         lambda mmhg: setattr(body.load, "value", loads.mmhg(mmhg)),
@@ -79,7 +80,15 @@ def test_a_target_that_was_met_on_the_way(rtol, tmp_path):
 
 
 def test_a_foreign_record(tmp_path):
-    body = wall(tube(around=4, along=2), degree=1)
-    Checkpoint(tmp_path, COMM).write([body.u, body.p], {"t": 1.0})
-    with raises(ValueError, "was not written by follow_load: name another folder"):
-        follow(tmp_path, 1.0, restart=True)
+    """Of something else, or of steps with other fields: nothing is touched."""
+    _, body = follow(tmp_path / "steps", 1.0, restart=False)
+    other = Checkpoint(tmp_path / "steps", COMM, restart=True)
+    other.record["steps"][0]["history"][0]["renamed"] = 1.0
+    other.record["loads"] = [1.0]
+    other.write([body.u, body.p], other.record)
+    Checkpoint(tmp_path / "else", COMM).write([body.u, body.p], {"t": 1.0})
+    for name in ("steps", "else"):
+        body = wall(tube(around=4, along=2), degree=1)
+        with raises(ValueError, "not written by follow_load of this version: name another folder"):
+            follow(tmp_path / name, 2.0, restart=True, body=body)
+        agree(not body.u.x.array.any() and body.load.value == 0.0)
