@@ -78,11 +78,12 @@ class Checkpoint:
 
         Raises:
             OSError: The folder cannot be written, holds a state already, or none to go on from.
-            ValueError: What it holds is no checkpoint, damaged, or one of other parameters.
-            TypeError: A parameter is none that JSON holds.
+            ValueError: What it holds is no checkpoint, damaged, or one of other parameters; or JSON
+                cannot hold a parameter.
         """
         self._comm, self.restart, self._allow_changes = comm, restart, allow_changes
-        self._parameters = on_all(lambda: _plain("parameters", dict(parameters or {})), comm)
+        given = (parameters or {}).items()
+        self._parameters = on_all(lambda: {str(n): _plain_parameter(n, v) for n, v in given}, comm)
         self.folder = Path(folder)
         self._path = self.folder / FILE
         self._head: dict[str, Any] | None = on_first(self._open, comm)
@@ -319,6 +320,16 @@ def _differences(there: Mapping[str, Any], here: Mapping[str, Any], *, forms: bo
         values = [(value, here["constants"][i]) for i, value in there["constants"].items()]
         found += [f"a Constant of the forms is {a} there and {b} here" for a, b in values if a != b]
     return found
+
+
+def _plain_parameter(name: str, value: object) -> Any:
+    """Return a parameter as it comes back from a file."""
+    try:
+        return _plain(name, value)
+    except TypeError as error:
+        raise ValueError(
+            f"parameters[{name!r}] is {value!r}: give numbers, strings, or lists of them."
+        ) from error
 
 
 def _plain(name: str, value: object) -> Any:
