@@ -123,9 +123,9 @@ class Checkpoint:
             **_describe(functions, content, moving),
         }
         head["record"] = on_first(lambda: _plain("record", dict(record)), self._comm)
-        parts = _gathered(dict(_arrays(functions, past)), self._comm)
+        parts, first = _gathered(_arrays(functions, past), self._comm), self._comm.rank == 0
         try:
-            on_first(lambda: self._write(head, parts), self._comm)
+            on_all(lambda: self._write(head, parts) if first else _exhaust(parts), self._comm)
         except Exception as error:
             kept = "there is none yet" if self._head is None else "the one before it is kept"
             raise OSError(
@@ -198,20 +198,20 @@ class Checkpoint:
                 "allow_changes=True accepts other parameters, forms and constants."
             )
 
-    def _write(self, head: Mapping[str, Any], parts: Sequence[Mapping[str, Stored]]) -> None:
+    def _write(self, head: Mapping[str, Any], parts: Iterator[tuple[str, Stored]]) -> None:
         """Write the state beside the last one, bring it to the disk, and let it take its place."""
         aside = self._path.with_suffix(".part")
         try:
             with zipfile.ZipFile(aside, "w") as file:
-                for p, arrays in enumerate(parts):
-                    for name, array in arrays.items():
-                        with file.open(f"{p}/{name}.npy", "w", force_zip64=True) as entry:
-                            np.lib.format.write_array(entry, array, allow_pickle=False)
+                for name, array in parts:
+                    with file.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                        np.lib.format.write_array(entry, array, allow_pickle=False)
                 file.writestr("head.json", json.dumps(head))
             _sync(aside)
             os.replace(aside, self._path)
             _sync(self.folder)
         finally:
+            _exhaust(parts)
             aside.unlink(missing_ok=True)
 
     def _read(self, functions: Sequence[dolfinx.fem.Function]) -> list[list[Array]]:
@@ -266,12 +266,20 @@ def _turn(values: Array, f: dolfinx.fem.Function, turned: Stored, cells: Stored)
         element.Tt_inv_apply(flat, _turned(f.function_space.mesh)[cells], bs)
 
 
-def _gathered(mine: dict[str, Stored], comm: MPI.Comm) -> list[dict[str, Stored]]:
-    """Bring what all processes have to the first one, one message each."""
-    if comm.rank > 0:
-        comm.send(mine, 0)
-        return []
-    return [mine, *(comm.recv(source=rank) for rank in range(1, comm.size))]
+def _gathered(mine: Iterator[tuple[str, Stored]], comm: MPI.Comm) -> Iterator[tuple[str, Stored]]:
+    """Yield what all processes have on the first one, array by array; send it on the others."""
+    for name, array in mine:
+        if comm.rank > 0:
+            comm.send(array, 0)
+            continue
+        yield f"0/{name}", array
+        yield from ((f"{p}/{name}", comm.recv(source=p)) for p in range(1, comm.size))
+
+
+def _exhaust(parts: Iterator[tuple[str, Stored]]) -> None:
+    """Take the rest, as others wait until it is received."""
+    for _ in parts:
+        pass
 
 
 def _describe(

@@ -12,6 +12,7 @@ import random
 import resource
 import shutil
 import time
+import tracemalloc
 import zipfile
 from types import SimpleNamespace
 
@@ -20,7 +21,7 @@ import pytest
 from collective import COMM, agree, raises
 from problems import cube
 from programs import finish, start
-from states import check, opened, written
+from states import Fields, check, opened, written
 
 import dolfinx
 
@@ -29,8 +30,9 @@ from dolfinx_feti.loading import checkpoint as module
 from dolfinx_feti.loading.checkpoint import Checkpoint
 
 
-def test_full_disk(tmp_path, state):
+def test_full_disk(tmp_path):
     """Met by the first process alone: all raise, and the last state stays what it is."""
+    state = Fields(8)  # its arrays are not sent before they are received
     none = opened(tmp_path / "none", restart=False)
     checkpoint = written(tmp_path / "one", state, 1.0)
     state.set(2.0)
@@ -50,6 +52,19 @@ def test_full_disk(tmp_path, state):
     state.set(3.0)  # there is room again
     checkpoint.write(state.functions, {"t": 3.0})
     check(tmp_path / "one", state, 3.0)
+
+
+@pytest.mark.processes(2, 3)
+def test_memory_of_the_first_process(tmp_path):
+    """It holds an array of another process at a time, and not the past of all."""
+    state, checkpoint = Fields(8), opened(tmp_path, restart=False)
+    past = [state.set(float(t)) for t in range(50)]
+    checkpoint.write(state.functions, {"t": 0.0})
+    tracemalloc.start()
+    checkpoint.write(state.functions, {"t": 1.0}, past)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    agree(peak < 20 * past[0][0].nbytes, (peak, past[0][0].nbytes))
 
 
 class Killed(BaseException):
