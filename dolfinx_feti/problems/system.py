@@ -266,8 +266,8 @@ class System:
 
         That is the diagonal before the pressure is condensed into it (docs/theory.md, *Gluing*).
         """
+        self._shift, self.tangent = 0.0, Tangent()  # before what may fail
         assembly.assemble(self._K, self._tangent)
-        self._shift, self.tangent = 0.0, Tangent()
         if self.is_displacement:  # of the present mesh, which may have moved
             self._size = cell_sizes(self._space, self._n_cells)
         self._stiffness[:] = self._K.csr.data[self._diagonal]

@@ -22,6 +22,7 @@ import dolfinx.jit
 import ufl
 
 from dolfinx_feti import FETI, NonlinearProblem, kinematics, loads, materials
+from dolfinx_feti.fem import assembly
 from dolfinx_feti.problems.forms import derive, warn_of_degree
 
 TIGHT = {"snes_rtol": 1e-11}
@@ -107,15 +108,24 @@ def test_tangent_of_the_last_equilibrium_predicts():
     agree(abs(first[1] / first[0] - 1.0) > 1e-3, "the first step was another one")
 
 
-def test_tangent_that_the_matrix_does_not_hold():
-    """One from before another one, one from before a solve, and one of another problem."""
+def test_tangent_that_the_matrix_does_not_hold(monkeypatch):
+    """From before another one, a solve, or an assembly that fails, and one of another problem."""
     body = wall(tube(around=6, along=2), degree=1)
     problem, other = body.problem(2), wall(tube(around=6, along=2), degree=1).problem(2)
     body.load.value = loads.mmhg(1.0)
     old, new = problem.linearise(), problem.linearise()
     problem.solve(first_tangent=new)
-    before = owned(body.u)
-    for wrong in (old, new, other.linearise()):
+    before, kept, assemble = owned(body.u), problem.linearise(), assembly.assemble
+
+    def failing(K, form) -> None:
+        assemble(K, form)
+        if COMM.rank == COMM.size - 1:
+            raise FloatingPointError
+
+    with monkeypatch.context() as patch, raises(FloatingPointError, ""):
+        patch.setattr(assembly, "assemble", failing)
+        problem.linearise()
+    for wrong in (old, new, kept, other.linearise()):
         with raises(ValueError, "first_tangent names a tangent that this problem's matrix does no"):
             problem.solve(first_tangent=wrong)
     equal(owned(body.u), before)
