@@ -98,16 +98,22 @@ def test_arguments_that_do_not_exist(create, name):
         create(poisson(cube(2, 4)), **{name: None})
 
 
+OPTIONS = [
+    ("feti_pctype", "lumped", "-bad_feti_pctype.*did you mean -bad_feti_pc_type"),
+    ("feti_scaling", "deluxe", "-bad_feti_scaling is 'deluxe'.*stiffness, multiplicity"),
+    ("ksp_rtol", "abc", "-bad_ksp_rtol is 'abc'; it takes a number ≥ 0 and < 1"),
+    ("ksp_max_it", "many", "-bad_ksp_max_it is 'many'; it takes a whole number"),
+    ("ksp_norm_type", "foo", "PETSc refuses one of the options -bad_…: .*foo"),
+]
+SNES = [
+    ("snes_max_it", 2.5, "-bad_snes_max_it is '2.5'; it takes a whole number"),
+    ("snes_monitor_cancel", "maybe", "PETSc refuses one of the options .*maybe"),
+]
+
+
 @pytest.mark.parametrize(
     ("create", "name", "wrong", "message"),
-    [
-        (linear, "feti_pctype", "lumped", "-bad_feti_pctype.*did you mean -bad_feti_pc_type"),
-        (linear, "ksp_rtol", "abc", "-bad_ksp_rtol is 'abc'; it takes a number ≥ 0 and < 1"),
-        (linear, "ksp_norm_type", "foo", "PETSc refuses one of the options -bad_…: .*foo"),
-        (nonlinear, "feti_scaling", "deluxe", "-bad_feti_scaling is 'deluxe'.*stiffness, multip"),
-        (nonlinear, "snes_max_it", 2.5, "-bad_snes_max_it is '2.5'; it takes a whole number"),
-        (nonlinear, "snes_monitor_cancel", "maybe", "PETSc refuses one of the options .*maybe"),
-    ],
+    [(c, *o) for c in (linear, nonlinear) for o in OPTIONS] + [(nonlinear, *o) for o in SNES],
 )
 def test_options(create, name, wrong, message):
     """In the call, on one process too, and on the command line; the database is as before."""

@@ -23,7 +23,6 @@ import ufl
 
 from dolfinx_feti import FETI, NonlinearProblem, kinematics, loads, materials
 from dolfinx_feti.fem import assembly
-from dolfinx_feti.problems.forms import derive, warn_of_degree
 
 TIGHT = {"snes_rtol": 1e-11}
 PRESSURE = 5.0
@@ -76,6 +75,8 @@ def test_what_a_problem_offers():
     small = {"feti_coarse_adaptive": 0, "feti_deflation": 0}  # a space without the solution
     problem = body.problem(4, small)
     agree(problem.history == [] and problem.u is body.u)
+    problem.solve()  # at rest there is nothing to do
+    agree(problem.history == [] and problem.solver.getConvergedReason() > 0)
     body.load.value = loads.mmhg(5.0)
     agree(problem.solve() is body.u)
     snes = problem.solver
@@ -180,9 +181,10 @@ def test_explosive_quadrature(degree, expected, caplog):
     C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
     a, parameters = ufl.as_vector([1.0, 0.0, 0.0]), {"c": 3.0, "k1": 2.3, "k2": 0.8, "J": J}
     fibres = materials.holzapfel_gasser_ogden(C, a, a, **parameters)
+    stopped = "subdomains is 0"  # after the warning, before the compiler
     for psi in (materials.neo_hookean(C, c=3.0, J=J), fibres):
-        forms = derive(psi * ufl.dx, u, J=None, condense=(), energy=None, degree=None)
-        warn_of_degree(forms, 2 * degree, COMM)
+        with raises(ValueError, stopped):
+            NonlinearProblem(psi * ufl.dx, u, subdomains=0)
     texts = [record.message for record in caplog.records]
     agree(len(texts) == (COMM.rank == 0), texts)
     for wanted in (
@@ -191,7 +193,8 @@ def test_explosive_quadrature(degree, expected, caplog):
     ):
         agree(all(wanted in text for text in texts), texts)
     caplog.clear()
-    NonlinearProblem(fibres * ufl.dx, u, subdomains=2, quadrature_degree=2 * degree)
+    with raises(ValueError, stopped):
+        NonlinearProblem(fibres * ufl.dx, u, subdomains=0, quadrature_degree=2 * degree)
     agree(not caplog.records)
 
 
