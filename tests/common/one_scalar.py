@@ -71,6 +71,7 @@ class Scalar:
     a: np.ndarray = field(default_factory=lambda: np.zeros(2))
     S: float = 0.0
     Q: float = 0.0
+    seen: float = 0.0
     h: float = 0.0
     dissipated: float = 0.0
 
@@ -127,7 +128,8 @@ class Scalar:
         if law.inertia is not None:
             self.a = new_a(self.u)
         self.v, self.ü, self.t, self.h = v, ü, t, h
-        S = slope(1.0 + s - self.u[0]) / (1.0 + s - self.u[0])
+        stretch = 1.0 + s - self.u[0]
+        self.seen, S = max(self.seen, stretch), slope(stretch) / stretch
         self.Q, self.S = fades * self.Q + δ * (S - self.S), S
 
 
@@ -214,7 +216,7 @@ class Block:
             bcs=[held(0, self.g, 0.5), held(1, 0.0, 2.0), held(2, 0.0, 2.0)],
             subdomains=3,
             quadrature_degree=2,
-            internal_variables=update | {self.seen: F[0, 0]},
+            internal_variables=update | {self.seen: ufl.max_value(self.seen, F[0, 0])},
             petsc_options={"snes_rtol": 1e-13, "snes_atol": 1e-14, "ksp_rtol": 1e-8},
         )
         x = V.tabulate_dof_coordinates()
@@ -242,7 +244,7 @@ class Block:
         return self.ends(self.u.x.array[self._face])
 
     def remembered(self) -> tuple[float, float, float]:
-        """Return S₁₁, Q₁₁ and the stretch that was seen, each equal at all points."""
+        """Return S₁₁, Q₁₁ and the largest stretch so far, each equal at all points."""
         values = []
         for f, size in ((self.S, 9), (self.Q, 9), (self.seen, 1)):
             least, most = self.ends(f.x.array[::size])

@@ -19,7 +19,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import ConvergenceError, NonlinearProblem, kinematics, materials, supports
-from dolfinx_feti.loading import Motion, Steps, TimeSteps, follow_load, follow_time
+from dolfinx_feti.loading import Checkpoint, Motion, Steps, TimeSteps, follow_load, follow_time
 
 DENSITY = 1e-6  # kg/mm³
 END = 4e-4  # s
@@ -257,3 +257,29 @@ def test_no_step_is_short_enough():
         block.follow(TimeSteps(first=END, least=END / 2, tolerance=1e-12))
     equal(owned(block.u), before, 0.0)
     small(float(block.t.value), 0.0)
+
+
+def test_restart(tmp_path):
+    """With a condensed pressure, a run that goes on has the steps of one run, and its end."""
+    ends, dt = [], 5e-5
+    for legs in ([4], [2, 4, 4]):  # the last one has nothing left to do
+        for i, end in enumerate(legs):
+            body = wall(tube(quarter=True, around=3, along=1), quarter=True, degree=1)
+            motion, v = Motion(body.u, DENSITY), ufl.TestFunction(body.u.function_space)
+            inertia = ufl.derivative(motion.inertia, body.u, v)
+            problem = NonlinearProblem(
+                [body.F_u + inertia, body.F_p], body.u, bcs=body.bcs, condense=body.p,
+                subdomains=4, petsc_options={"snes_rtol": 1e-12, "ksp_rtol": 1e-10},
+            )  # fmt: skip
+            checkpoint = Checkpoint(tmp_path / f"{len(legs)}", COMM, restart=i > 0)
+            found = follow_time(
+                problem, motion, lambda t, load=body.load: setattr(load, "value", 5.0 * t / dt),
+                [n * dt for n in range(1, end + 1)], fixed(dt), checkpoint=checkpoint,
+            )  # fmt: skip
+        agree([round(step.load / dt) for step in found] == [1, 2, 3, 4], found)
+        fields = body.u, body.p, motion.velocity, motion.acceleration
+        begun = [step.history[0].residual for step in found]
+        ends.append([*map(owned, fields), [step.kinetic for step in found], begun])
+    for one, other in zip(*ends, strict=True):
+        agree(np.abs(one).max(initial=0.0) > 0.0)
+        equal(other, one, 1e-10)
