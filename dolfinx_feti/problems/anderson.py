@@ -20,9 +20,6 @@ import numpy as np
 
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["Anderson"]
-
-
 #: Differences that are kept.
 DEPTH = 20
 

@@ -21,8 +21,6 @@ from dolfinx_feti.fem.checks import check_space
 from dolfinx_feti.runtime.petsc_options import require_prefix
 from dolfinx_feti.scalars.equations import is_real
 
-__all__ = ["agreed_prefix", "checked_conditions", "require_forms", "require_function"]
-
 #: What to do in place of a problem in several fields: with a pressure, with a flux, with others.
 INSTEAD = {
     "pressure": "Condense a discontinuous pressure of an elastic solid, "

@@ -18,8 +18,6 @@ from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.problems.system import Residual, System
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["difference_from_derivative"]
-
 QUANTITY = "difference of J from the derivative of F"
 
 #: How many e a mismatch is at least.

@@ -22,8 +22,6 @@ from dolfinx_feti.problems.history import Stop, proved_negative
 from dolfinx_feti.problems.system import Residual, System
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["Direction", "Directions", "fallen", "raised"]
-
 Reason = PETSc.KSP.ConvergedReason
 
 #: So many plain steps with an indefinite tangent may follow those that have moved the boundary.

@@ -36,15 +36,6 @@ from dolfinx_feti.fem.quadrature import (
 from dolfinx_feti.problems.arguments import checked_conditions, require_forms
 from dolfinx_feti.runtime.collective import warn
 
-__all__ = [
-    "Forms",
-    "condensed_fields",
-    "default_volume_ratio",
-    "derive",
-    "linear_forms",
-    "warn_of_degree",
-]
-
 #: How often twice the polynomial degree an estimated quadrature degree may be without a warning.
 EXPLOSIVE = 3
 

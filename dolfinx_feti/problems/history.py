@@ -16,18 +16,6 @@ from petsc4py import PETSc
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.runtime.compat import residual_is_nan
 
-__all__ = [
-    "CLOSER",
-    "CRAWLING",
-    "FAILURES",
-    "NewtonStep",
-    "Stop",
-    "crawls",
-    "is_slow",
-    "proved_negative",
-    "share_left",
-]
-
 #: So many steps, each of which leaves more than this share of the residual, are slow.
 SLOW_STEPS, SLOW = 3, 0.03
 

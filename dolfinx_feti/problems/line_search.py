@@ -22,9 +22,6 @@ import numpy as np
 from dolfinx_feti.problems.system import Residual, System
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = ["Trial", "line_search"]
-
-
 #: η: by how much g(α)/g(0) of an accepted step may leave the interval from zero to one.
 ETA = 0.8
 

@@ -30,8 +30,6 @@ from dolfinx_feti.scalars.border import ScalarSystem
 from dolfinx_feti.scalars.couplings import checked_couplings, refuse_condensed_fields, works
 from dolfinx_feti.scalars.equations import Coupling
 
-__all__ = ["LinearProblem"]
-
 
 class LinearProblem(TornProblem):
     """Solve a(u, v) = L(v) for all v with a FETI method.

@@ -22,8 +22,6 @@ from dolfinx_feti.problems.system import System
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 
-__all__ = ["hold", "prepare", "updated"]
-
 #: Most updates of a solve.
 UPDATES = 50
 

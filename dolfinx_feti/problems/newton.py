@@ -40,8 +40,6 @@ from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_errors import python_errors
 
-__all__ = ["Newton", "Start"]
-
 Reason = PETSc.SNES.ConvergedReason
 
 #: Share of the residual that Newton's method aims at which a linear solve may leave.

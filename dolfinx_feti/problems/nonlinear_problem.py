@@ -42,8 +42,6 @@ from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.scalars import couplings as coupled
 from dolfinx_feti.scalars.equations import Coupling, separated
 
-__all__ = ["NonlinearProblem"]
-
 
 class NonlinearProblem(TornProblem):
     """Solve F(u; v) = 0 for all v by Newton's method, every step with a FETI method.

@@ -20,14 +20,6 @@ from dolfinx_feti.feti.solver import FETI, VIEW_ONCE
 from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.runtime.petsc_options import inserted, withheld
 
-__all__ = [
-    "RTOL",
-    "create_newton_solver",
-    "create_solver",
-    "no_closer_than",
-    "options_without_effect",
-]
-
 #: Default relative tolerance of Newton's method.
 RTOL = 1e-8
 

@@ -36,9 +36,6 @@ from dolfinx_feti.scalars.equations import Coupling
 from dolfinx_feti.torn.matrix import set_condensed
 from dolfinx_feti.torn.rounding import EPS, product_rounding
 
-__all__ = ["Residual", "System", "Tangent"]
-
-
 #: Share of the greatest displacement below which a missed Dirichlet value is rounding.
 MOVED = 1e-12
 

@@ -26,8 +26,6 @@ from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.scalars.equations import Coupling
 
-__all__ = ["Common", "TornProblem"]
-
 
 class Common(TypedDict, total=False):
     """Further arguments of both problems, by keyword.
