@@ -46,8 +46,7 @@ ZERO_PIVOT = 1e-8
 #: Precision of A V where preconditioner and matrix belong together.
 PRECISION: type[np.floating] = np.float32
 
-#: Share of the stiffest dof of a subdomain below which single precision leaves nothing of the
-#: softest one: some times its rounding.
+#: Stiffness, over the greatest of a subdomain, of which single precision leaves nothing.
 SOFTEST = 10.0 * float(np.finfo(np.float32).eps)
 
 #: Multiple of a bound of rounding errors by which an energy has to be negative.
@@ -134,7 +133,9 @@ class AveragedSpace:
         def elements() -> Iterator[Array]:
             for i, (W_i, rows) in enumerate(zip(V.W.panels, V.copies.blocks, strict=True)):
                 Y = S.multiply_panels(i, W_i, transpose=not symmetric)  # Y = Sᵀ W
-                single = combinations is None and _is_even(stiffness[rows])
+                k = stiffness[rows]
+                even = k.min(initial=np.inf) >= SOFTEST * k.max(initial=0.0)
+                single = combinations is None and even
                 self.AV.append(np.ascontiguousarray(Y.T, PRECISION if single else np.float64))
                 E = W_i.overlap(Y, symmetric=symmetric)  # Wᵀ Y
                 yield E if symmetric else E.T
@@ -222,11 +223,6 @@ class AveragedSpace:
         shifted = self.A_0.copy()
         shifted.setDiagonal(self._x, addv=PETSc.InsertMode.ADD_VALUES)
         return shifted
-
-
-def _is_even(k: Array) -> bool:
-    """Tell whether single precision does for forces of dofs with these stiffnesses."""
-    return bool(k.min(initial=np.inf) >= SOFTEST * k.max(initial=0.0))
 
 
 def estimated_norms(copies: Copies, multiply: Callable[[int, Array], Array]) -> list[float]:
