@@ -72,10 +72,7 @@ bench-compare: ## FETI and other solvers on the same matrices, time and memory; 
 	$(with) python3 -m benchmarks.compare --json build/speed.json --page build/results
 
 bench-nonlinear: ## iterations and seconds per Newton step, tube and vessel; report in build/results/
-	for degree in 1 2; do \
-	  $(with) $(python) -m benchmarks.nonlinear --geometry tube --size 0.3 --subdomains 8 --degree $$degree --json build/nonlinear.json && \
-	  $(with) $(python) -m benchmarks.nonlinear --size 1.19 --subdomains 64 --pressure 0.2 --degree $$degree --json build/nonlinear.json $(ARGS) || exit; \
-	done
+	$(with) env OMP_NUM_THREADS=1 python3 -m benchmarks.nonlinear --json build/nonlinear.json $(ARGS)
 	$(with) python3 -m benchmarks.nonlinear --json build/nonlinear.json --page build/results
 
 bench-scaling: ## strong scaling on one and two processes, counts on up to 64; report in build/results/

@@ -202,7 +202,7 @@ class _Series:
     @property
     def refined(self) -> float:
         """The paper's dofs over those of the model's mesh."""
-        return paper.DOFS[self.layers] / self.model.base["dofs"]
+        return paper.DOFS[self.layers, 1] / self.model.base["dofs"]
 
     @property
     def names(self) -> dict[str, str]:
@@ -219,7 +219,9 @@ def _fields(records: Sequence[Record]) -> Fields:
         "cluster": CLUSTER,
         "measured": [part for s in every for part in s.section(_times(s))],
         "modelled": [
-            part for s in modelled for part in s.section(_model_rows(s), dofs=paper.DOFS[s.layers])
+            part
+            for s in modelled
+            for part in s.section(_model_rows(s), dofs=paper.DOFS[s.layers, 1])
         ],
         "limits": section(row for s in modelled for row in _limits(s)),
         "weak": section(_weak(s) for s in modelled),
@@ -290,7 +292,7 @@ def _limits(series: _Series) -> Iterator[dict[str, object]]:
 
 def _weak(series: _Series) -> dict[str, object]:
     """Return Krylov and coarse set-up on WEAK processes, the paper's dofs on the fewest."""
-    dofs, (few, many) = paper.DOFS[series.layers], WEAK
+    dofs, (few, many) = paper.DOFS[series.layers, 1], WEAK
     foreseen = (series.model.predict(P, series.refined * P / few) for P in WEAK)
     t = [p["krylov"] + p["coarse"] for p in foreseen]
     sizes = {"few": few, "many": many, "dofs": dofs, "dofs_many": dofs * many // few}

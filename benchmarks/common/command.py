@@ -25,8 +25,13 @@ def add_choices(parser: argparse.ArgumentParser, name: str, choices: Sequence[ob
 
 def add_mesh(parser: argparse.ArgumentParser) -> None:
     """Add the options for the mesh of a wall."""
+    parser.add_argument("--geometry", choices=tuple(CREATE), default="vessel")
+    add_size(parser)
+
+
+def add_size(parser: argparse.ArgumentParser) -> None:
+    """Add the options for the elements of a wall."""
     add = parser.add_argument
-    add("--geometry", choices=tuple(CREATE), default="vessel")
     add("--size", type=positive, default=None, help="length of the elements' edges [mm]")
     add("--folder", type=Path, default=Path("build/walls"), help="where meshes are kept")
 

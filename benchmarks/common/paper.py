@@ -53,9 +53,10 @@ TIMES = {
     for layers, rows in _PRINTED["times"].items()
 }
 
-#: Tetrahedra and vertices of the paper's meshes, by layers, and its displacement dofs.
-MESHES = {1: (5_418_594, 1_055_901), 2: (9_195_336, 1_621_365)}
-DOFS = {layers: 3 * vertices for layers, (_, vertices) in MESHES.items()}
+#: Tetrahedra of the paper's meshes, by layers, and dofs, by layers and degree: of linear elements
+#: three for each vertex, of quadratic ones as printed.
+CELLS = {1: 5_418_594, 2: 9_195_336}
+DOFS = {(1, 1): 3 * 1_055_901, (2, 1): 3 * 1_621_365, (1, 2): 23_031_620, (2, 2): 36_527_435}
 
 #: Subdomains, by layers and degree.
 SUBDOMAINS = {(1, 1): 480, (1, 2): 480, (2, 1): 512, (2, 2): 1024}
