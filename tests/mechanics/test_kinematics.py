@@ -36,14 +36,6 @@ def test_every_deformation_gradient_gives_the_same_form():
     assert first.signature() == second.signature()
 
 
-def test_strains_in_simple_shear():
-    gamma = 0.4
-    F = variable([[1, gamma, 0], [0, 1, 0], [0, 0, 1]])
-    C = [[1, gamma, 0], [gamma, 1 + gamma**2, 0], [0, 0, 1]]
-    np.testing.assert_allclose(value(kin.right_cauchy_green(F)), C, atol=1e-15)
-    assert value(kin.jacobian(F)) == pytest.approx(1, abs=1e-15)
-
-
 @pytest.mark.parametrize("with_jacobian", [True, False])
 def test_isochoric_invariants(with_jacobian):
     F = variable(F_ANY)
@@ -76,16 +68,13 @@ def test_cauchy_stress_by_hand():
     F = variable(F_ANY)
     sigma = value(kin.cauchy_stress(0.5 * 4.0 * (ufl.tr(kin.right_cauchy_green(F)) - 3), F))
     np.testing.assert_allclose(sigma, 4.0 * F_ANY @ F_ANY.T / np.linalg.det(F_ANY), rtol=1e-13)
-    np.testing.assert_allclose(sigma, sigma.T, rtol=1e-13)
 
 
 def test_cauchy_stress_refuses_a_foreign_variable():
-    F, other = variable(F_ANY), variable(F_ANY)
-    psi = kin.jacobian(F)
-    with pytest.raises(ValueError, match="psi does not depend"):
-        kin.cauchy_stress(psi, other)
-    with pytest.raises(ValueError, match="psi does not depend"):
-        kin.cauchy_stress(psi, ufl.as_matrix(F_ANY.tolist()))
+    psi = kin.jacobian(variable(F_ANY))
+    for other in (variable(F_ANY), ufl.as_matrix(F_ANY.tolist())):
+        with pytest.raises(ValueError, match="psi does not depend"):
+            kin.cauchy_stress(psi, other)
 
 
 def test_stress_magnitude():
