@@ -1,9 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Checkpoints: read back, or refused."""
+"""Checkpoints: read back, or refused; writing fails, or the run is killed."""
 
 from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import shutil
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -34,17 +40,6 @@ def test_round_trip(tmp_path, state):
                 equal(actual, values, ROUNDING)
         agree(again.record["load"] == 3.0 and again.record["steps"] == [{"n": 4}])
         agree(np.isnan(again.record["nan"]) and again.record["name"] == "κ")
-
-
-def test_a_restarted_run_writes_on(tmp_path, state):
-    """In place of the last state."""
-    written(tmp_path, state, 1.0, 2.0)
-    checkpoint = opened(tmp_path)
-    checkpoint.read(state.functions)
-    state.set(7.0)
-    checkpoint.write(state.functions, {"t": 7.0})
-    agree({path.name for path in tmp_path.iterdir()} == {"state.npz"})
-    check(tmp_path, state, 7.0)
 
 
 def test_where_a_process_has_no_cell(tmp_path):
@@ -154,3 +149,83 @@ def test_damaged_states(tmp_path, state, damage):
     on_first(spoil)
     with raises(ValueError, "state.npz is damaged, or no checkpoint of this version: name another"):
         opened(tmp_path)
+
+
+# -- interrupted
+
+
+def test_full_disk(tmp_path):
+    """Met by the first process alone: all raise, and the last state stays what it is."""
+    state = Fields(8)  # its arrays are not sent before they are received
+    none = opened(tmp_path / "none", restart=False)
+    checkpoint = written(tmp_path / "one", state, 1.0)
+    state.set(2.0)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 12 if COMM.rank == 0 else soft, hard))
+    try:
+        with raises(OSError, r"state.npz cannot be written \(File too large.*one before it is"):
+            checkpoint.write(state.functions, {"t": 2.0})
+        with raises(OSError, r"state.npz cannot be written \(File too large.*there is none yet"):
+            none.write(state.functions, {"t": 2.0})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    agree(checkpoint.record == {"t": 1.0} and none.record is None)
+    agree([path.name for path in (tmp_path / "one").iterdir()] == ["state.npz"])
+    agree(list((tmp_path / "none").iterdir()) == [])
+    check(tmp_path / "one", state, 1.0)
+    state.set(3.0)  # there is room again
+    checkpoint.write(state.functions, {"t": 3.0})
+    check(tmp_path / "one", state, 3.0)
+
+
+@pytest.mark.processes(2, 3)
+def test_memory_of_the_first_process(tmp_path):
+    """It holds an array of another process at a time, and not the past of all."""
+    state, checkpoint = Fields(8), opened(tmp_path, restart=False)
+    past = [state.set(float(t)) for t in range(50)]
+    checkpoint.write(state.functions, {"t": 0.0})
+    tracemalloc.start()
+    checkpoint.write(state.functions, {"t": 1.0}, past)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    agree(peak < 20 * past[0][0].nbytes, (peak, past[0][0].nbytes))
+
+
+class Killed(BaseException):
+    """Stands for SIGKILL: nothing catches it."""
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [(np.lib.format, "write_array"), (os, "fsync"), (os, "replace"), (os, "open")],
+)
+def test_killed_at_any_call(tmp_path, state, monkeypatch, place, name):
+    """Before each of the calls that change the folder: the old state is there or the new one."""
+    written(tmp_path / "first", state, 1.0, 2.0)
+    call, seen, at = getattr(place, name), 0, 0
+
+    def kill(*args, **options):
+        nonlocal seen
+        if (seen := seen + 1) > at:
+            raise Killed
+        return call(*args, **options)
+
+    while seen >= at:  # until all calls are let through
+        folder, seen = tmp_path / f"{at}", 0
+        shutil.copytree(tmp_path / "first", folder)
+        checkpoint = opened(folder)
+        state.set(3.0)
+        with monkeypatch.context() as patch, contextlib.suppress(Killed):
+            patch.setattr(place, name, kill)
+            checkpoint.write(state.functions, {"t": 3.0})
+        (folder / "state.part").write_bytes(b"half")  # as SIGKILL leaves it
+        again = opened(folder)
+        t = again.record["t"]
+        check(folder, state, t)
+        state.set(4.0)
+        again.write(state.functions, {"t": 4.0})
+        check(folder, state, 4.0)
+        agree([path.name for path in folder.iterdir()] == ["state.npz"])
+        at += 1
+    agree(t == 3.0 and at >= 1)

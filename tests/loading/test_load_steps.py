@@ -28,13 +28,20 @@ def increments(steps: list[LoadStep]) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "targets",
-    [[1.0], [0.1, 0.3, 1 / 3, 1.1], [-0.7], [0.9, 0.2, -math.pi / 10, 0.55], [0.9, 0.9 + 1e-9]],
+    ("first", "targets"),
+    [
+        (0.07, [1.0]),
+        (0.07, [0.1, 0.3, 1 / 3, 1.1]),
+        (0.07, [-0.7]),
+        (0.07, [0.9, 0.2, -math.pi / 10, 0.55]),
+        (0.07, [0.9, 0.9 + 1e-9]),
+        (0.2, [0.1, 0.2, 0.1, 0.2, 0.1]),  # loads that are met twice do not break the prediction
+    ],
 )
-def test_targets_are_met_exactly_one_after_the_other(played, targets):
+def test_targets_are_met_exactly_one_after_the_other(played, first, targets):
     problem = played(start=0.05)
-    turns = len(targets) == 4 and targets[1] < targets[0]
-    steps = problem.follow(targets, Steps(first=0.07, least=0.01), unloading=turns)
+    turns = len(set(np.sign(np.diff([0.05, *targets])))) > 1
+    steps = problem.follow(targets, Steps(first=first, least=0.01), unloading=turns)
     path = [0.05, *(step.load for step in steps)]
     corners = iter(path)
     agree(all(target in corners for target in targets), path)  # each behind the one before
@@ -43,6 +50,7 @@ def test_targets_are_met_exactly_one_after_the_other(played, targets):
         agree(step.increment == b - a)
         ahead = next(t for t in [*targets, b] if min(a, t) <= b <= max(a, t))
         agree((b - a) * (ahead - a) > 0, "never beyond a target")
+    agree(all(np.isfinite(attempt.guess).all() for attempt in problem.attempts))
     equal(problem.state(), truth(targets[-1]), ROUNDING)
 
 
@@ -52,34 +60,31 @@ def test_nothing_is_done_where_one_is_already(played, targets):
     agree(problem.follow(targets, Steps(first=1.0, least=1.0)) == [] and not problem.attempts)
 
 
-def test_what_is_left_is_divided_evenly(played):
-    """No small rest before a target."""
-    problem = played(cost=lambda increment: 9)
-    steps = problem.follow([1.0], Steps(first=0.4, least=0.1, quick=3))
-    equal(increments(steps), np.full(3, 1 / 3), ROUNDING)
-
-
-@pytest.mark.parametrize("cost", [3, 4])
-def test_increments_grow_after_quick_steps(played, cost):
-    """And keep their length after slow ones."""
+@pytest.mark.parametrize(
+    ("cost", "targets", "first", "growth", "expected"),
+    [
+        (9, [1.0], 0.4, 1.5, np.full(3, 1 / 3)),  # evenly: no small rest before a target
+        (4, [100.0], 1.0, 2.0, np.ones(100)),  # they keep their length after slow steps
+        (1, [1.0, 1.01, 2.01], 0.5, 1.0, [0.5, 0.5, 0.01, 0.5, 0.5]),  # and over a target nearby,
+        (9, [1.0, 1.01, 2.01], 0.5, 1.0, [0.5, 0.5, 0.01, 0.5, 0.5]),  # whatever it costs
+    ],
+)
+def test_increments(played, cost, targets, first, growth, expected):
     problem = played(cost=lambda increment: cost)
+    steps = problem.follow(targets, Steps(first=first, least=0.1, growth=growth, quick=3))
+    equal(increments(steps), expected, 1e-9)
+
+
+def test_increments_grow_after_quick_steps(played):
+    problem = played(cost=lambda increment: 3)
     steps = problem.follow([100.0], Steps(first=1.0, least=1.0, growth=2.0, quick=3))
     found = increments(steps)
-    agree(found[0] == 1.0)
+    agree(found[0] == 1.0 and len(found) == 7, found)  # 1 + 2 + 4 + … > 100 with seven terms
     agree(np.all(found[1:] <= 2 * found[:-1] * (1 + ROUNDING)), found)
-    agree(len(found) == (7 if cost == 3 else 100), found)  # 1 + 2 + 4 + … > 100 with seven terms
-
-
-@pytest.mark.parametrize("cost", [1, 9])
-def test_increments_keep_their_length_over_a_target(played, cost):
-    """A short step to a target nearby, quick or slow, does not make the next ones short."""
-    problem = played(cost=lambda increment: cost)
-    steps = problem.follow([1.0, 1.01, 2.01], Steps(first=0.5, least=0.1, growth=1.0, quick=3))
-    equal(increments(steps), [0.5, 0.5, 0.01, 0.5, 0.5], 1e-9)
 
 
 def test_increment_is_halved_until_it_succeeds(played):
-    """Each new attempt begins in the last equilibrium."""
+    """Each new attempt begins in the last equilibrium, with a new preconditioner."""
     problem = played(fails=lambda before, load: load - before > 0.3, cost=lambda increment: 9)
     steps = problem.follow([4.0], Steps(first=1.0, least=0.01, quick=3))
     equal([a.load for a in problem.attempts[:4]], [1.0, 0.5, 0.25, 0.5], ROUNDING)
@@ -88,17 +93,8 @@ def test_increment_is_halved_until_it_succeeds(played):
     agree([len(step.all_steps) for step in steps] == [27] + 15 * [9])
     for attempt in problem.attempts[:3]:
         equal(attempt.linearised, (0.0, *truth(0.0)), ROUNDING)
+    agree([attempt.renewed for attempt in problem.attempts] == 3 * [True] + 15 * [False])
     equal(problem.state(), truth(4.0), ROUNDING)
-
-
-def test_preconditioner_serves_from_load_to_load(played):
-    """It begins anew on a new path, and after a failure."""
-    problem = played(fails=lambda before, load: load > 0.5 and load - before > 0.1)
-    problem.follow([1.0], Steps(first=0.2, least=0.01))
-    follows_failure = [False, *(not attempt.converged for attempt in problem.attempts[:-1])]
-    expected = [i == 0 or after for i, after in enumerate(follows_failure)]
-    agree([attempt.renewed for attempt in problem.attempts] == expected and sum(expected) > 1)
-    agree(any(not attempt.renewed for attempt in problem.attempts))
 
 
 def test_increment_does_not_grow_in_a_step_that_failed_first(played):
@@ -110,34 +106,35 @@ def test_increment_does_not_grow_in_a_step_that_failed_first(played):
 
 
 @pytest.mark.parametrize(
-    ("start", "target", "first", "least"),
-    [(0.0, 1.0, 1.0, 0.1), (1.0, 1.2, 0.1, 0.1), (0.0, -1.0, 0.5, 0.5), (1e6, 1e6 + 1, 1.0, 1e-9)],
-    ids=["halved", "first", "down", "rounding"],
+    ("start", "target", "first", "least", "last"),
+    [
+        (0.0, 1.0, 1.0, 0.1, 0.0),  # halved
+        (1.0, 1.2, 0.1, 0.1, 1.0),  # the first one
+        (0.0, -1.0, 0.5, 0.5, 0.0),  # down
+        (1e6, 1e6 + 1, 1.0, 1e-9, 1e6),  # up to rounding
+        (0.0, 5.0, 0.5, 0.25, 2.0),  # far along the way
+    ],
 )
-def test_least_increment(played, start, target, first, least):
-    """State and load are those of the last equilibrium, and the message says what to do."""
-    problem = played(start=start, fails=lambda before, load: load != before)
+def test_least_increment(played, start, target, first, least, last):
+    """State, load and tolerances are those of the last equilibrium; the message has a remedy."""
+    problem = played(start=start, fails=lambda before, load: abs(load - start) > last - start)
+    before, seen = problem.solver.getTolerances(), [start]
     with raises(
         ConvergenceError,
-        rf"beyond a load of {re.escape(f'{start:g}')}: an increment of .* {least:g} is the least "
+        rf"beyond a load of {re.escape(f'{last:g}')}: an increment of .* {least:g} is the least "
         "allowed. The spring broke. Allow smaller increments",
     ):
-        problem.follow([target], Steps(first=first, least=least))
-    agree(problem.load == start)
-    equal(problem.state(), truth(start), ROUNDING)
-    tried = np.abs([attempt.load - start for attempt in problem.attempts])
+        problem.follow(
+            [target],
+            Steps(first=first, least=least, growth=1.0, rtol=0.5),
+            on_step=lambda step: seen.append(step.load),
+        )
+    equal(seen, np.arange(start, last + first / 2, first), ROUNDING)
+    agree(problem.load == seen[-1] and problem.solver.getTolerances() == before)
+    agree(all(a.rtol == (OWN if a.load == target else 0.5) for a in problem.attempts))
+    equal(problem.state(), truth(problem.load), ROUNDING)
+    tried = np.abs([attempt.load - last for attempt in problem.attempts[len(seen) - 1 :]])
     agree(np.all(tried[1:] < tried[:-1]) and tried[-1] >= 0.5 * least, tried)
-
-
-def test_failure_far_along_the_way(played):
-    """What was accepted before has been reported, and the last of it is the state."""
-    problem = played(fails=lambda before, load: load > 2.2)
-    seen: list[LoadStep] = []
-    with raises(ConvergenceError, "beyond a load of 2: "):
-        problem.follow([5.0], Steps(first=0.5, least=0.25, growth=1.0), on_step=seen.append)
-    equal([step.load for step in seen], [0.5, 1.0, 1.5, 2.0], ROUNDING)
-    agree(problem.load == seen[-1].load)
-    equal(problem.state(), truth(2.0), ROUNDING)
 
 
 @pytest.mark.parametrize(
@@ -161,25 +158,25 @@ def test_remedy_fits_the_failure(played, said, match):
         problem.follow([1.0], Steps(first=0.25, least=0.1))
 
 
-def test_first_steps_begin_with_the_tangent_of_the_last_equilibrium(played):
-    problem = played()
-    problem.follow([1.0], Steps(first=0.1, least=0.1, growth=1.0))
-    for attempt in problem.attempts[:2]:
-        expected = (attempt.before, *truth(attempt.before))
-        equal(attempt.linearised, expected, ROUNDING)
-        equal(attempt.guess, truth(attempt.before), ROUNDING)
-
-
 @pytest.mark.parametrize("growth", [1.0, 1.7])
 def test_prediction_is_exact_for_parabolas(played, growth):
-    """With increments of any length, on the way back, and after a failure."""
+    """With increments of any length, on the way back, and after a failure.
+
+    The first steps begin with the tangent of the last equilibrium. The tolerance refers to that
+    under the new load, not to the prediction.
+    """
     problem = played(fails=lambda before, load: before > 0.5 and load - before > 0.3)
     steps = Steps(first=0.15, least=0.01, growth=growth)
     problem.follow([2.0, 0.3, 1.0], steps, unloading=True)
     agree(len(problem.attempts) > 8)
+    for attempt in problem.attempts[:2]:
+        equal(attempt.linearised, (attempt.before, *truth(attempt.before)), ROUNDING)
+        equal(attempt.guess, truth(attempt.before), ROUNDING)
+        agree(attempt.referred is None)
     for attempt in problem.attempts[2:]:
         agree(attempt.linearised is None)
         equal(attempt.guess, truth(attempt.load), 1e-9)
+        agree(attempt.referred == (attempt.load, *truth(attempt.before)), attempt)
     agree(growth == 1.0 or not all(attempt.converged for attempt in problem.attempts))
 
 
@@ -193,14 +190,6 @@ def test_inadmissible_prediction_gives_way_to_the_tangent(played):
             agree(step.linearised[0] == step.before)
             equal(step.linearised[1:], truth(step.before), ROUNDING)
     agree(sum(attempt.linearised is not None for attempt in problem.attempts) >= 6)
-
-
-def test_a_load_met_twice_does_not_break_the_prediction(played):
-    problem = played()
-    steps = Steps(first=0.1, least=0.1, growth=1.0)
-    problem.follow([0.1, 0.2, 0.1, 0.2, 0.1], steps, unloading=True)
-    equal(problem.state(), truth(0.1), ROUNDING)
-    agree(all(np.isfinite(attempt.guess).all() for attempt in problem.attempts))
 
 
 @pytest.mark.parametrize("rough", [None, 1e-2, OWN / 100])
@@ -219,24 +208,6 @@ def test_rough_on_the_way_and_exact_at_the_targets(played, rough):
         small(attempt.linear_rtol - max(rougher / 10, OWN), 0.0)
 
 
-def test_tolerances_after_a_failure(played):
-    problem = played(fails=lambda before, load: True)
-    before = problem.solver.getTolerances()
-    with raises(ConvergenceError, "No equilibrium was found"):
-        problem.follow([1.0], Steps(first=0.1, least=0.1, rtol=0.5))
-    agree(problem.attempts[0].rtol == 0.5 and problem.solver.getTolerances() == before)
-
-
-def test_tolerance_refers_to_the_last_equilibrium_under_the_new_load(played):
-    """And not to the predicted state."""
-    problem = played()
-    problem.follow([1.0], Steps(first=0.1, least=0.01))
-    for attempt in problem.attempts:
-        expected = None if attempt.linearised else (attempt.load, *truth(attempt.before))
-        agree(attempt.referred == expected, attempt)
-    agree(any(attempt.referred for attempt in problem.attempts))
-
-
 def test_on_step_is_called_in_each_equilibrium_on_all_processes(played):
     problem = played(cost=lambda increment: 2, fails=lambda before, load: load - before > 0.25)
     seen: list[LoadStep] = []
@@ -251,57 +222,48 @@ def test_on_step_is_called_in_each_equilibrium_on_all_processes(played):
     agree(sum(step.failures for step in steps) > 0 and all(step.seconds >= 0 for step in steps))
 
 
-@pytest.mark.parametrize("targets", [[1.0, 0.5], [0.5, 0.7, -1.0], [-1.0, 0.0]])
-def test_load_that_turns_back(played, targets):
-    """A list out of order is an error, unless unloading is meant; nothing has moved by then."""
+@pytest.mark.parametrize(
+    ("start", "targets", "match"),
+    [
+        (0.0, [1.0, 0.5], r"targets=.*: the load turns back.* unloading=True"),
+        (0.0, [0.5, 0.7, -1.0], "the load turns back"),
+        (0.0, [-1.0, 0.0], "the load turns back"),
+        (0.0, [1.0, math.nan], r"targets=\[1.0, nan\]: loads are finite numbers"),
+        (0.0, [1.0, math.inf], r"targets=\[1.0, inf\]: loads are finite numbers"),
+        (math.nan, [1.0], "start=nan"),
+        (-math.inf, [1.0], "start=-inf"),
+    ],
+)
+def test_bad_loads(played, start, targets, match):
+    """On one process alone: all refuse them, before anything has moved."""
     problem = played()
-    steps = Steps(first=0.5, least=0.5)
-    with raises(ValueError, r"targets=.*: the load turns back.* unloading=True"):
-        problem.follow(targets, steps)
-    agree(problem.load == 0.0)
-    agree(problem.follow(targets, steps, unloading=True)[-1].load == targets[-1])
-
-
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_loads_that_are_no_numbers(played, bad):
-    problem = played()
-    steps = Steps(first=1.0, least=1.0)
-    with raises(ValueError, r"targets=\[1.0, (nan|inf)\]: loads are finite numbers"):
-        problem.follow([1.0, bad if LAST else 2.0], steps)
-    with raises(ValueError, "start=(nan|inf)"):
-        follow_load(problem, lambda _: None, [1.0], steps, start=bad if LAST else 0.0)
+    if not LAST:
+        start, targets = 0.0, [1.0]
+    with raises(ValueError, match):
+        follow_load(problem, lambda _: None, targets, Steps(first=0.5, least=0.5), start=start)
     agree(not problem.attempts)
 
 
-# -- what fails on the last process alone fails on all
-
-
-def test_set_load(played):
+@pytest.mark.parametrize("where", ["set_load", "on_step"])
+def test_call_that_fails_on_one_process(played, where):
+    """It fails on all, and leaves state, tolerances and load of the last equilibrium."""
     problem = played()
 
-    def set_load(load: float) -> None:
-        if LAST and load > 0.3:
+    def call(name: str, load: float) -> None:
+        if name == "set_load":
+            problem.load = load
+        if LAST and name == where and load > 0.3:
             raise ZeroDivisionError("not this load")
-        problem.load = load
 
     with raises(ZeroDivisionError, "not this load"):
         follow_load(
-            problem, set_load, [1.0], Steps(first=0.2, least=0.1), state=[problem.u, problem.p]
-        )
-    agree([attempt.load for attempt in problem.attempts] == [0.2])
-    agree(problem.solver.getTolerances()[0] == OWN)
-
-
-def test_on_step(played):
-    problem = played()
-
-    def on_step(step: object) -> None:
-        if LAST:
-            raise OSError(28, "No space left on device")
-
-    with raises(OSError, "No space left"):
-        problem.follow([1.0], Steps(first=0.2, least=0.1), on_step=on_step)
-    equal(problem.state(), truth(0.2), ROUNDING)
+            problem, lambda load: call("set_load", load), [1.0], Steps(first=0.2, least=0.1),
+            state=[problem.u, problem.p], on_step=lambda step: call("on_step", step.load),
+        )  # fmt: skip
+    last = problem.attempts[-1].load
+    agree(len(problem.attempts) == {"set_load": 1, "on_step": 2}[where])
+    agree(problem.load == last and problem.solver.getTolerances()[0] == OWN)
+    equal(problem.state(), truth(last), ROUNDING)
 
 
 def test_wall_up_and_down():
@@ -310,13 +272,14 @@ def test_wall_up_and_down():
     direct, stepped = (wall(tube(around=6, along=2), degree=1) for _ in range(2))
     direct.inflate(direct.problem(4, tight), [4.0])
     problem = stepped.problem(4, tight)
-
-    def set_load(pressure: float) -> None:
-        stepped.load.value = loads.mmhg(pressure)
-
     for start, targets in ((0.0, [4.0]), (4.0, [7.0, 4.0])):
         record = follow_load(
-            problem, set_load, targets, Steps(first=1.0, least=0.25), start=start, unloading=True
+            problem,
+            lambda pressure: setattr(stepped.load, "value", loads.mmhg(pressure)),
+            targets,
+            Steps(first=1.0, least=0.25),
+            start=start,
+            unloading=True,
         )
         agree(record[-1].load == 4.0 and not any(step.failures for step in record))
         equal(by_place(stepped.u), by_place(direct.u), 1e-8)

@@ -1,22 +1,169 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Load steps that go on from a checkpoint."""
+"""Restarts: the way of one run, and what they know of their problem; what no path begins with."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
 
+from mpi4py import MPI
+
+import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small
+from problems import cube, dirichlet, left
 from states import ROUNDING
 from walls import Wall, tube, wall
 
-from dolfinx_feti import loads
-from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.load_steps import follow_load
-from dolfinx_feti.loading.steps import LoadStep, Steps
+import basix.ufl
+import dolfinx
+import ufl
+
+from dolfinx_feti import NonlinearProblem, kinematics, loads, materials, supports
+from dolfinx_feti.fem.content import content_of
+from dolfinx_feti.loading import (
+    Checkpoint,
+    LoadStep,
+    Motion,
+    Steps,
+    TimeSteps,
+    follow_load,
+    follow_time,
+)
+from dolfinx_feti.runtime.compat import interpolation_points
+
+STEPS = Steps(first=0.5, least=0.1, growth=1.0)
+TIMES = TimeSteps(first=0.1, least=0.01)
+
+
+class Pulled:
+    """A block under a load of its volume, whose stiffness is a Constant and whose κ a number."""
+
+    def __init__(self, *, c: float = 3.0, kappa: float = 10.0) -> None:
+        self.mesh = cube(3, 2)
+        V = dolfinx.fem.functionspace(self.mesh, ("Lagrange", 1, (3,)))
+        self.u = dolfinx.fem.Function(V)
+        self.load, self.c = (dolfinx.fem.Constant(self.mesh, value) for value in (0.0, c))
+        F = kinematics.deformation_gradient(self.u)
+        C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+        psi = materials.neo_hookean(C, c=self.c, J=J) + materials.volumetric(J, kappa)
+        self.energy = (psi - self.load * self.u[0]) * ufl.dx
+        self.bcs = [dirichlet(V, left)]
+
+    def problem(self, more: ufl.Form | None = None) -> NonlinearProblem:
+        energy = self.energy if more is None else self.energy + more
+        return NonlinearProblem(energy, self.u, bcs=self.bcs, subdomains=2, quadrature_degree=2)
+
+    def set_load(self, load: float) -> None:
+        self.load.value = load
+
+    def follow(self, targets: list[float], checkpoint: Checkpoint | None = None):
+        return follow_load(self.problem(), self.set_load, targets, STEPS, checkpoint=checkpoint)
+
+
+@pytest.mark.parametrize(
+    ("other", "match"),
+    [
+        ({"c": 4.0}, "a Constant of the forms is 3.0 there and 4.0 here"),
+        ({"kappa": 20.0}, "its forms, such as the energy of a material, .* are others"),
+    ],
+)
+def test_restart_with_another_material(tmp_path, other, match):
+    """It is refused, unless the user says so; another load is none."""
+    Pulled().follow([0.5], Checkpoint(tmp_path, COMM))
+    with raises(ValueError, f"{match}.*allow_changes=True"):
+        Pulled(**other).follow([0.5, 1.0], Checkpoint(tmp_path, COMM, restart=True))
+    changed = Pulled(**other)
+    checkpoint = Checkpoint(tmp_path, COMM, restart=True, allow_changes=True)
+    agree([step.load for step in changed.follow([0.5, 1.0], checkpoint)] == [0.5, 1.0])
+    small(float(changed.load.value) - 1.0, 0.0)
+    agree(float(changed.c.value) == other.get("c", 3.0))
+
+
+def test_signature_of_what_is_made_again():
+    """UFL orders the Constants 9 and 10 otherwise than 7 and 8."""
+    numbers = set()
+    for _ in range(30):
+        body = Pulled()
+        more = dolfinx.fem.Constant(body.mesh, 1.0) * body.c * body.u[1] ** 2 * ufl.dx
+        numbers.add(
+            content_of(
+                [body.u], [body.energy, ufl.derivative(body.energy + more, body.u)]
+            ).signature
+        )
+    agree(len(numbers) == 1, numbers)
+    one, other = (
+        content_of([body.u], [k * body.c * body.u[0] * ufl.dx]).signature for k in (1.0, 2.0)
+    )
+    agree(one != other)
+
+
+@pytest.mark.parametrize(
+    "element",
+    [
+        ("Lagrange", 3, (3,)),
+        ("N1curl", 2),
+        ("RT", 3),
+        basix.ufl.quadrature_element("tetrahedron", degree=3),
+    ],
+    ids=str,
+)
+def test_elements_on_other_numbers_of_processes(tmp_path, element):
+    """Edges and faces are turned otherwise there: the field is the same."""
+
+    def create(comm):
+        mesh = dolfinx.mesh.create_unit_cube(comm, 2, 3, 2)
+        return dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
+
+    f, alone = create(COMM), create(MPI.COMM_SELF)
+    for g in (f, alone):
+        x = ufl.SpatialCoordinate(g.function_space.mesh)
+        values = ufl.as_vector([1 + x[0] * x[1], x[2] ** 2 - x[0], x[1] + 2 * x[2]])
+        points = interpolation_points(g.function_space)
+        g.interpolate(dolfinx.fem.Expression(values if g.ufl_shape else values[0], points))
+    Checkpoint(tmp_path, COMM).write([f], {})
+    before = alone.x.array.copy()
+    alone.x.array[:] = 0.0
+    Checkpoint(tmp_path, MPI.COMM_SELF, restart=True).read([alone])
+    equal(alone.x.array, before, 1e-13)
+
+
+def test_what_is_refused_when_a_motion_begins():
+    """Forms without its inertia, a dashpot that cannot follow, times that do not ascend."""
+    body = Pulled()
+    motion, last = Motion(body.u, 1.0), dolfinx.fem.Function(body.u.function_space)
+    resists = supports.dashpot_energy(1.0, body.u, last, 0.1, ufl.ds(body.mesh))
+    right = body.problem(motion.inertia)
+    for problem, start, targets, match in (
+        (body.problem(), 0.0, [0.1], "do not hold the inertia of this Motion"),
+        (body.problem(motion.inertia + resists), 0.0, [0.1], "with a number as its time step"),
+        (right, 1.0, [0.7, 0.5], r"start=1.0, targets=\[0.7, 0.5\]: times ascend from the start"),
+        (right, 0.0, [0.2, 0.1], "turns back"),
+    ):
+        with raises(ValueError, match):
+            follow_time(problem, motion, body.set_load, targets, TIMES, start=start)
+    with raises(ValueError, "rho=1.5: give a spectral radius"):
+        Motion(body.u, 1.0, rho=1.5)
+
+
+def test_equilibria_after_a_motion():
+    """Inertia and velocities are left out, as if there had been none."""
+    body = Pulled()
+    motion, last = Motion(body.u, 1e-3), dolfinx.fem.Function(body.u.function_space)
+    dt = dolfinx.fem.Constant(body.mesh, np.inf)
+    resists = supports.dashpot_energy(1.0, body.u, last, dt, ufl.ds(body.mesh))
+    problem = body.problem(motion.inertia + resists)
+    problem.solver.setTolerances(rtol=1e-10)
+    follow_time(problem, motion, lambda t: body.set_load(t), [0.5], TIMES)
+    follow_load(problem, body.set_load, [1.0], STEPS, start=0.5)
+    other = Pulled()
+    other.follow([1.0])
+    equal(body.u.x.array, other.u.x.array, 1e-6)
+
+
+# -- from where a run was interrupted
 
 
 def follow(
