@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from collective import COMM
+from problems import curved, dirichlet, tagged
 
-import basix.ufl
 import dolfinx
 import ufl
 
@@ -70,25 +70,15 @@ def body(
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     u = dolfinx.fem.Function(V, name="u")
     p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, pressure), name="p")
-    zero, bcs = dolfinx.fem.Constant(mesh, 0.0), []
-    for axis, place in planes:
-        facets = dolfinx.mesh.locate_entities_boundary(
-            mesh, 2, lambda x, axis=axis, place=place: np.isclose(x[axis], place)
-        )
-        part = V.sub(axis)
-        dofs = dolfinx.fem.locate_dofs_topological(part, 2, facets)
-        bcs.append(dolfinx.fem.dirichletbc(zero, dofs, part))
-    marked = [dolfinx.mesh.locate_entities_boundary(mesh, 2, where) for where in surfaces]
-    facets = np.concatenate(marked)
-    values = np.repeat(np.arange(1, len(marked) + 1), [len(m) for m in marked]).astype(np.int32)
-    order = np.argsort(facets, kind="stable")
-    tags = dolfinx.mesh.meshtags(mesh, 2, facets[order], values[order])
-    ds = ufl.Measure("ds", mesh, subdomain_data=tags)
+    bcs = [
+        dirichlet(V, lambda x, axis=axis, place=place: np.isclose(x[axis], place), component=axis)
+        for axis, place in planes
+    ]
     F = kinematics.deformation_gradient(u)
     C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
     psi = materials.neo_hookean(C, c=stiffness, J=J)
     psi += materials.perturbed_lagrangian(J, p, kappa * stiffness)
-    return Body(u, p, bcs, ds, psi * ufl.dx)
+    return Body(u, p, bcs, tagged(mesh, *surfaces), psi * ufl.dx)
 
 
 def balloon(
@@ -130,19 +120,14 @@ def tube(cells: tuple[int, int] = (3, 6), *, stiffness: float = 1.0) -> Body:
     box = dolfinx.mesh.create_box(
         COMM, [(1.0, 0.0, 0.0), (1.5, np.pi / 2, 0.2)], (*cells, 1), cell_type=hexahedron
     )
-    quadratic = basix.ufl.element("Lagrange", "hexahedron", 2, shape=(3,))
-    nodes = dolfinx.fem.functionspace(box, quadratic)
-    owned, count = nodes.dofmap.index_map.size_local, box.topology.index_map(3).size_local
-    r, angle, z = nodes.tabulate_dof_coordinates()[:owned].T
-    number = nodes.dofmap.index_map.local_to_global(nodes.dofmap.list[:count].ravel())
-    mesh = dolfinx.mesh.create_mesh(
-        COMM,
-        cells=number.reshape(count, -1),
-        x=np.column_stack((r * np.cos(angle), r * np.sin(angle), z)),
-        e=quadratic,
-    )
+
+    def round_the_axis(x: Array) -> Array:
+        r, angle, z = x.T
+        return np.column_stack((r * np.cos(angle), r * np.sin(angle), z))
+
     planes = [(0, 0.0), (1, 0.0), (2, 0.0), (2, 0.2)]
     lumen = [lambda x: np.isclose(np.hypot(x[0], x[1]), 1.0)]
+    mesh = curved(box, round_the_axis)
     return body(mesh, planes, lumen, stiffness=stiffness, pressure=("DPC", 1))
 
 

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 from collective import lu_solve, norm
+from problems import cube, dirichlet, left
 from walls import Wall
 
 import dolfinx
@@ -79,8 +80,7 @@ def block(comm: MPI.Comm, element: str, kappa: float, n: int = 3) -> Block:
     """Make a block with some of ``ELEMENTS``, κ over a shear modulus of 1, and n cells an edge."""
     cell, degree, pressures = ELEMENTS[element]
     kind = getattr(dolfinx.mesh.CellType, cell)
-    create = dolfinx.mesh.create_unit_cube if "hedron" in cell else dolfinx.mesh.create_unit_square
-    mesh = create(comm, *[n] * (3 if "hedron" in cell else 2), cell_type=kind)
+    mesh = cube(3 if "hedron" in cell else 2, n, kind, comm)
     x, d = mesh.geometry.x, mesh.geometry.dim
     x[:, :d] += 0.05 * np.sin(3 * np.roll(x[:, :d], 1, axis=1)) * x[:, :1]
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (d,)))
@@ -98,9 +98,7 @@ def block(comm: MPI.Comm, element: str, kappa: float, n: int = 3) -> Block:
         θ, p = fields
         psi += kappa / 2 * ((θ**2 - 1) / 2 - ufl.ln(θ)) + p * (J - θ)
     energy = (psi + 0.1 * u[d - 1]) * ufl.dx(metadata={"quadrature_degree": 2 * degree})
-    left = dolfinx.mesh.locate_entities_boundary(mesh, d - 1, lambda x: np.isclose(x[0], 0.0))
-    dofs = dolfinx.fem.locate_dofs_topological(V, d - 1, left)
-    return Block(u, fields, energy, [dolfinx.fem.dirichletbc(np.zeros(d), dofs, V)])
+    return Block(u, fields, energy, [dirichlet(V, left)])
 
 
 class Mixed:

@@ -18,6 +18,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy.integrate
 import scipy.optimize
+from problems import right, tagged
 
 import basix.ufl
 import dolfinx
@@ -193,10 +194,7 @@ class Block:
             dt=self.dt,
         )
         psi += materials.volumetric(J, KAPPA)
-        mesh.topology.create_connectivity(2, 3)
-        face = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[0], 1.0))
-        tags = dolfinx.mesh.meshtags(mesh, 2, np.sort(face), np.ones(len(face), dtype=np.int32))
-        ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
+        ds = tagged(mesh, right)(1)
         energy = psi * ufl.dx + self.p * self.u[0] * ds
         viscous = self.viscosity, self.u, self.last, self.time_step
         energy += supports.dashpot_energy(*viscous, ds, "all")

@@ -116,6 +116,28 @@ def dirichlet(
     return dolfinx.fem.dirichletbc(g, dofs, part)
 
 
+def tagged(mesh: dolfinx.mesh.Mesh, *surfaces: Marker) -> ufl.Measure:
+    """Return the measure whose part i + 1 is what the i-th marks of the boundary."""
+    dim = mesh.topology.dim - 1
+    found = [dolfinx.mesh.locate_entities_boundary(mesh, dim, where) for where in surfaces]
+    facets = np.concatenate(found)
+    values = np.repeat(np.arange(1, len(found) + 1, dtype=np.int32), [len(f) for f in found])
+    order = np.argsort(facets)
+    tags = dolfinx.mesh.meshtags(mesh, dim, facets[order], values[order])
+    return ufl.Measure("ds", mesh, subdomain_data=tags)
+
+
+def curved(mesh: dolfinx.mesh.Mesh, place: Callable[[Array], Array]) -> dolfinx.mesh.Mesh:
+    """Return the same cells with quadratic geometry; its nodes, (n, gdim), have another place."""
+    gdim = mesh.geometry.dim
+    element = basix.ufl.element("Lagrange", mesh.basix_cell(), 2, shape=(gdim,))
+    V = dolfinx.fem.functionspace(mesh, element)
+    owned, nodes = mesh.topology.index_map(mesh.topology.dim).size_local, V.dofmap.index_map
+    cells = nodes.local_to_global(V.dofmap.list[:owned].ravel()).reshape(owned, -1)
+    x = place(V.tabulate_dof_coordinates()[: nodes.size_local, :gdim].copy())
+    return dolfinx.mesh.create_mesh(mesh.comm, cells=cells, x=x, e=element)
+
+
 def left(x: Array) -> npt.NDArray[np.bool_]:
     """Mark x₀ = 0."""
     return np.isclose(x[0], 0.0)

@@ -13,6 +13,7 @@ from functools import cache
 
 import numpy as np
 from collective import COMM
+from problems import curved
 
 import basix
 import basix.ufl
@@ -28,7 +29,7 @@ element = basix.ufl.element
 
 
 @cache
-def body(cell: str, curved: bool) -> tuple[dolfinx.mesh.Mesh, object, object, list]:
+def body(cell: str, is_curved: bool) -> tuple[dolfinx.mesh.Mesh, object, object, list]:
     """A mesh of a few cells, tags of its cells and facets, and cells by number in a list."""
     kind = getattr(Cell, cell)
     if cell == "interval":
@@ -37,7 +38,7 @@ def body(cell: str, curved: bool) -> tuple[dolfinx.mesh.Mesh, object, object, li
         mesh = dolfinx.mesh.create_rectangle(COMM, [[0, 0], [1.2, 0.9]], [3, 2], kind)
     else:
         mesh = dolfinx.mesh.create_box(COMM, [[0, 0, 0], [1.1, 0.8, 0.9]], (2, 2, 1), kind)
-    if curved:
+    if is_curved:
         mesh = bent(mesh)
     mesh.geometry.x[:, 0] += 0.06 * np.sin(3 * mesh.geometry.x[:, 1] + mesh.geometry.x[:, 2])
     tdim = mesh.topology.dim
@@ -54,15 +55,7 @@ def body(cell: str, curved: bool) -> tuple[dolfinx.mesh.Mesh, object, object, li
 
 def bent(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.Mesh:
     """The same cells, with quadratic geometry."""
-    cell, gdim = mesh.topology.cell_name(), mesh.geometry.dim
-    W = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (gdim,)))
-    owned = mesh.topology.index_map(mesh.topology.dim).size_local
-    nodes = W.dofmap.index_map
-    cells = nodes.local_to_global(W.dofmap.list[:owned].ravel()).reshape(owned, -1)
-    x = W.tabulate_dof_coordinates()[: nodes.size_local, :gdim].copy()
-    x[:, 0] += 0.1 * x[:, -1] ** 2
-    coordinate = element("Lagrange", cell, 2, shape=(gdim,))
-    return dolfinx.mesh.create_mesh(COMM, cells, x=x, e=coordinate)
+    return curved(mesh, lambda x: x + 0.1 * np.outer(x[:, -1] ** 2, np.eye(x.shape[1])[0]))
 
 
 class Grammar:
@@ -70,11 +63,11 @@ class Grammar:
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
-        cell, curved = self.one(CELLS), self.chance(0.25)
-        curved = curved and cell not in ("prism",) and COMM.size == 1
-        self.mesh, *self.data = body(cell, curved)
+        cell, is_curved = self.one(CELLS), self.chance(0.25)
+        is_curved = is_curved and cell != "prism" and COMM.size == 1
+        self.mesh, *self.data = body(cell, is_curved)
         self.cell, self.gdim = cell, self.mesh.geometry.dim
-        self.text = [f"seed {seed}", cell + " curved" * curved]
+        self.text = [f"seed {seed}", cell + " curved" * is_curved]
         self.degree: int | None = None  # of quadrature elements
         self.V = self.space(self.unknown())
         # UFL's estimate may need a hundred thousand points

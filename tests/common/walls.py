@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+from problems import dirichlet, tagged
 
 import basix.ufl
 import dolfinx
@@ -41,7 +42,7 @@ class Wall:
     energy: ufl.Form  #: Π(u, p) without the load
     F_u: ufl.Form  #: Residual tested with v, with the follower load
     F_p: ufl.Form  #: Residual tested with q
-    J: ufl.Form  #: Tangent of F_u in u
+    J: ufl.Form | None  #: Tangent of F_u in u
 
     @property
     def fields(self) -> tuple[dolfinx.fem.Function, ...]:
@@ -146,7 +147,6 @@ def wall(
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,)))
     Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
     u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
-    v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
     a1, a2 = (fibres(mesh, sign) for sign in (1.0, -1.0))
     metadata = {"quadrature_degree": 2 * degree}
     F = kinematics.deformation_gradient(u)
@@ -156,13 +156,27 @@ def wall(
     )
     kappa_ = dolfinx.fem.Constant(mesh, float(kappa))
     energy = (psi + materials.perturbed_lagrangian(J, p, kappa_)) * ufl.dx(metadata=metadata)
-    lumen = lumen_measure(mesh)(LUMEN, metadata=metadata)
-    load = dolfinx.fem.Constant(mesh, 0.0)
-    F_u = ufl.derivative(energy, u, v) + loads.follower_pressure(load, u, v, lumen)
-    K = ufl.derivative(ufl.derivative(energy, u, v), u, du)
-    K += loads.follower_pressure_tangent(load, u, v, du, lumen, tangent)
-    F_p = ufl.derivative(energy, p, q)
     bcs = symmetric(V) if quarter else clamped(V)
+    return under_pressure(u, p, bcs, energy, lumen_measure(mesh)(LUMEN, metadata=metadata), tangent)
+
+
+def under_pressure(
+    u: dolfinx.fem.Function,
+    p: dolfinx.fem.Function,
+    bcs: list[dolfinx.fem.DirichletBC],
+    energy: ufl.Form,
+    surface: ufl.Measure,
+    tangent: str,
+) -> Wall:
+    """Put a follower pressure on a surface, with a kind of its tangent or ``exact`` by UFL."""
+    V, Q = u.function_space, p.function_space
+    v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
+    load = dolfinx.fem.Constant(V.mesh, 0.0)
+    F_u, F_p = ufl.derivative(energy, u, v), ufl.derivative(energy, p, q)
+    K = None if tangent == "exact" else ufl.derivative(F_u, u, du)
+    if K is not None:
+        K += loads.follower_pressure_tangent(load, u, v, du, surface, tangent, bcs=bcs)
+    F_u += loads.follower_pressure(load, u, v, surface)
     return Wall(u, p, load, bcs, energy, F_u, F_p, K)
 
 
@@ -181,32 +195,18 @@ def fibres(mesh: dolfinx.mesh.Mesh, sign: float) -> dolfinx.fem.Function:
 
 def lumen_measure(mesh: dolfinx.mesh.Mesh) -> ufl.Measure:
     """Return the measure whose part ``LUMEN`` is the inner surface."""
-    facets = dolfinx.mesh.locate_entities_boundary(
-        mesh, 2, lambda x: np.hypot(x[0], x[1]) < INNER * (1 + 1e-8)
-    )
-    tags = np.full(len(facets), LUMEN, dtype=np.int32)
-    return ufl.Measure(
-        "ds", domain=mesh, subdomain_data=dolfinx.mesh.meshtags(mesh, 2, np.sort(facets), tags)
-    )
+    return tagged(mesh, lambda x: np.hypot(x[0], x[1]) < INNER * (1 + 1e-8))
 
 
 def clamped(V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:
     """Clamp both ends."""
-    facets = dolfinx.mesh.locate_entities_boundary(V.mesh, 2, at_ends(V.mesh))
-    dofs = dolfinx.fem.locate_dofs_topological(V, 2, facets)
-    return [dolfinx.fem.dirichletbc(np.zeros(3), dofs, V)]
+    return [dirichlet(V, at_ends(V.mesh))]
 
 
 def symmetric(V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:
     """Let the planes of symmetry and the ends slide: one component each."""
     planes = (lambda x: np.isclose(x[0], 0.0), lambda x: np.isclose(x[1], 0.0), at_ends(V.mesh))
-    bcs = []
-    for component, where in enumerate(planes):
-        facets = dolfinx.mesh.locate_entities_boundary(V.mesh, 2, where)
-        part = V.sub(component)
-        dofs = dolfinx.fem.locate_dofs_topological(part, 2, facets)
-        bcs.append(dolfinx.fem.dirichletbc(0.0, dofs, part))
-    return bcs
+    return [dirichlet(V, where, component=k) for k, where in enumerate(planes)]
 
 
 def at_ends(mesh: dolfinx.mesh.Mesh) -> Callable[[Array], Marker]:

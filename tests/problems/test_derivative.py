@@ -55,8 +55,8 @@ def without_term(u, v, du):
 
 def bent(kind, caplog, **options):
     """Bend a beam with a tangent of its pressure; return problem, Newton steps and warnings."""
-    body = beam()
-    problem = body.problem(kind, ksp_rtol=1e-6, **options)
+    body = beam(tangent=kind)
+    problem = body.problem(4, {"ksp_rtol": 1e-6, **options})
     with caplog.at_level(logging.WARNING, "dolfinx_feti"):
         for load in LOADS:
             body.load.value = load

@@ -110,9 +110,9 @@ def test_a_state_brings_its_multipliers_along():
     solved.solve()
     functions = (body.u, *body.fields)
     before = [f.x.array.copy() for f in functions]
-    solved.bcs[0].g.value[:] = 0.02
+    solved.bcs[0].g.x.array[:] = 0.02
     solved.solve()
-    solved.bcs[0].g.value[:] = 0.0
+    solved.bcs[0].g.x.array[:] = 0.0
     for f, values in zip(functions, before, strict=True):
         f.x.array[:] = values
     small(solved.residual_norm(), 1e-7)

@@ -50,7 +50,7 @@ class Reference(Mixed):
 
 
 def slender(comm, kappa):
-    return beam(comm, kappa=kappa, cells=(10, 1, 1)).wall("symmetric")
+    return beam(comm, "symmetric", kappa=kappa, cells=(10, 1, 1))
 
 
 def compare(create, pressures, kappa):
