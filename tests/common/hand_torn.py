@@ -9,6 +9,7 @@ have none.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -234,46 +235,51 @@ def brick(
     stiffness: Callable[[tuple[int, ...]], float] = lambda cell: 1.0,
 ) -> tuple[Array, Array]:
     """Assemble a brick of unit cells: the pattern of its matrix and the matrix."""
-    shape = [n + 1 for n in cells]
-    number = np.arange(np.prod(shape)).reshape(shape)
+    number = np.arange(np.prod(np.add(cells, 1))).reshape(np.add(cells, 1))
+    every = list(itertools.product(*map(range, cells)))
+    nodes = [number[tuple(slice(c, c + 2) for c in cell)].ravel() for cell in every]
     K_e = element(len(cells), components)
-    size = number.size * components
+    return assembled(nodes, [stiffness(cell) * K_e for cell in every], components)
+
+
+def assembled(
+    cells: Sequence[Indices], matrices: Sequence[Array], components: int
+) -> tuple[Array, Array]:
+    """Assemble the matrices of cells, of which the nodes are given: the pattern and the matrix."""
+    size = (1 + max(nodes.max() for nodes in cells)) * components
     K, pattern = np.zeros((size, size)), np.zeros((size, size))
-    for cell in itertools.product(*map(range, cells)):
-        nodes = number[tuple(slice(c, c + 2) for c in cell)].ravel()
+    for nodes, K_e in zip(cells, matrices, strict=True):
         rows = dofs_of(nodes, components)
-        K[np.ix_(rows, rows)] += stiffness(cell) * K_e
+        K[np.ix_(rows, rows)] += K_e
         pattern[np.ix_(rows, rows)] = 1.0
     return pattern, K
 
 
 def element(dim: int, components: int) -> Array:
-    """Stiffness of a unit cell with multilinear shape functions, by 2-point Gauss quadrature."""
-    corners = np.array(list(itertools.product((0, 1), repeat=dim)))
-    points = itertools.product((0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3)), repeat=dim)
-    return sum(stiffness_at(gradients(corners, np.array(p)), components) for p in points) / 2**dim
+    """Stiffness of a unit cell, whose multilinear shape functions are products over the axes."""
+    M, D, K = np.array([[2, 1], [1, 2]]) / 6, np.array([[-1, -1], [1, 1]]) / 2, [[1, -1], [-1, 1]]
+
+    def product(i: int, j: int) -> Array:
+        factors = [[[M, D.T], [D, K]][k == i][k == j] for k in range(dim)]
+        return functools.reduce(np.kron, factors, np.ones((1, 1)))
+
+    G = np.array([[product(i, j) for j in range(dim)] for i in range(dim)])
+    return stiffness_of(G, components)
 
 
-def gradients(corners: Indices, point: Array) -> Array:
-    """Gradients of the multilinear shape functions, (nodes, dim)."""
-    factor = np.where(corners == 1, point, 1 - point)
-    slope = np.where(corners == 1, 1.0, -1.0)
-    dim = len(point)
-    swap = [np.where(np.arange(dim) == j, slope, factor).prod(axis=1) for j in range(dim)]
-    return np.stack(swap, axis=-1)
+def stiffness_of(G: Array, components: int, nu: float = POISSON) -> Array:
+    """Stiffness from G = ∫ ∂_i φ_a ∂_j φ_b, (dim, dim, nodes, nodes).
 
-
-def stiffness_at(g: Array, components: int, nu: float = POISSON) -> Array:
-    """Integrand of the stiffness: ∇φ·∇φ, or 2μ ε:ε + λ div div for as many components as axes."""
+    That of ∇φ·∇φ, or of 2μ ε:ε + λ div div for as many components as axes.
+    """
+    laplace = np.einsum("iiab->ab", G)
     if components == 1:
-        return g @ g.T
-    n, dim = g.shape
+        return laplace
     mu = YOUNG / (2 * (1 + nu))
     lmbda = YOUNG * nu / ((1 + nu) * (1 - 2 * nu))
-    grad = np.einsum("ad,ij->aidj", g, np.eye(dim)).transpose(0, 3, 1, 2).reshape(n * dim, dim, dim)
-    eps = 0.5 * (grad + grad.transpose(0, 2, 1))
-    div = np.trace(grad, axis1=1, axis2=2)
-    return 2 * mu * np.einsum("aij,bij->ab", eps, eps) + lmbda * np.outer(div, div)
+    K = mu * np.einsum("ab,ij->aibj", laplace, np.eye(components))
+    K += mu * np.einsum("jiab->aibj", G) + lmbda * np.einsum("ijab->aibj", G)
+    return K.reshape(2 * [len(laplace) * components])
 
 
 def kernel(x: Array, components: int) -> Array:
@@ -293,7 +299,11 @@ def block_matrix(blocks: list[tuple[Array, Array]], bs: int) -> PETSc.Mat:
     for values, pattern in blocks:
         rows, columns = np.nonzero((pattern != 0.0) | (values != 0.0))
         parts.append(scipy.sparse.coo_array((values[rows, columns], (rows, columns)), values.shape))
-    K = scipy.sparse.block_diag(parts, format="csr")
+    return aij(scipy.sparse.block_diag(parts, format="csr"), bs)
+
+
+def aij(K: scipy.sparse.csr_array, bs: int = 1) -> PETSc.Mat:
+    """Make a sequential matrix."""
     csr = K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data
     return PETSc.Mat().createAIJ(K.shape, bsize=bs, csr=csr, comm=PETSc.COMM_SELF)
 

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 from collective import lu_solve, norm
+from hand_torn import aij
 from problems import cube, dirichlet, left
 from walls import Wall
 
@@ -160,9 +161,7 @@ class Mixed:
 
 def solve_sparse(K: scipy.sparse.csr_array, b: Array) -> Array:
     """Solve K x = b on this process alone."""
-    K = K.tocsr()
-    indptr, indices = (a.astype(PETSc.IntType) for a in (K.indptr, K.indices))
-    A = PETSc.Mat().createAIJ(K.shape, csr=(indptr, indices, K.data), comm=PETSc.COMM_SELF)
+    A = aij(K.tocsr())
     rhs = PETSc.Vec().createWithArray(b, comm=PETSc.COMM_SELF)
     x = lu_solve(A, rhs)
     A.destroy()

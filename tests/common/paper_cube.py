@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
-from hand_torn import Array, HandTorn, dofs_of, kernel, stiffness_at, tear
+from hand_torn import Array, HandTorn, assembled, kernel, stiffness_of, tear
 
 POISSON = 0.45
 
@@ -31,7 +31,8 @@ def cube(
             cells; if not given the whole surface, as in the paper.
     """
     nodes, tetrahedra = subcube(cells)
-    K_0, pattern = assemble(nodes, tetrahedra, components)
+    matrices = [element(nodes[tetrahedron], components) for tetrahedron in tetrahedra]
+    pattern, K_0 = assembled(list(tetrahedra), matrices, components)
     corners = cells * np.array(list(itertools.product(range(subdomains), repeat=3)))
     places = np.concatenate([nodes + corner for corner in corners])
     x, number = np.unique(np.round(2 * places).astype(int), axis=0, return_inverse=True)
@@ -64,21 +65,9 @@ def subcube(cells: int) -> tuple[Array, npt.NDArray[np.int64]]:
     return nodes / 2, number.reshape(-1, 4)
 
 
-def assemble(
-    nodes: Array, tetrahedra: npt.NDArray[np.int64], components: int
-) -> tuple[Array, Array]:
-    """Assemble the matrix of a subcube and its pattern."""
-    n = len(nodes) * components
-    K, pattern = np.zeros((n, n)), np.zeros((n, n))
-    for tetrahedron in tetrahedra:
-        rows = dofs_of(tetrahedron, components)
-        K[np.ix_(rows, rows)] += element(nodes[tetrahedron], components)
-        pattern[np.ix_(rows, rows)] = 1.0
-    return K, pattern
-
-
 def element(corners: Array, components: int) -> Array:
     """Stiffness of a tetrahedron with linear shape functions."""
     edges = corners[1:] - corners[0]
-    g = np.linalg.solve(edges, np.eye(4)[1:] - np.eye(4)[0]).T  # ∇φ, (4, 3)
-    return abs(np.linalg.det(edges)) / 6 * stiffness_at(g, components, POISSON)
+    g = np.linalg.solve(edges, np.eye(4)[1:] - np.eye(4)[0])  # ∇φ, (3, 4)
+    G = abs(np.linalg.det(edges)) / 6 * np.einsum("ia,jb->ijab", g, g)
+    return stiffness_of(G, components, POISSON)

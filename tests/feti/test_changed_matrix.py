@@ -9,12 +9,13 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
+import scipy.sparse
 from cases import each
 from collective import COMM, agree, equal, whole
-from hand_torn import random_values, solve
+from hand_torn import aij, random_values, solve
+from mixed import solve_assembled
 
 from dolfinx_feti import set_near_kernel
-from dolfinx_feti.comparison import assembled_system, create_solver
 from dolfinx_feti.runtime.connectivity import has_joined_copies
 from dolfinx_feti.runtime.petsc_library import function
 from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed, state_of
@@ -40,45 +41,40 @@ def scaled_copy(problem):
     replaced(problem, K)
 
 
-def spring(problem, i, j):
-    """Matrix of a spring between two torn dofs of this process, if it has them."""
+def spring(i, j):
+    """Return entries that tie two torn dofs."""
+    return ((i, i, 7.0), (j, j, 7.0), (i, j, -7.0), (j, i, -7.0))
+
+
+def added(problem, i, j):
+    """Add a matrix of other pattern, a spring between two torn dofs of each process."""
     n = local(problem).getSize()[0]
     X = PETSc.Mat().createAIJ((n, n), nnz=2, comm=PETSc.COMM_SELF)
-    if n:
-        for row, column, value in ((i, i, 7.0), (j, j, 7.0), (i, j, -7.0), (j, i, -7.0)):
-            X.setValue(row % n, column % n, value, addv=PETSc.InsertMode.ADD)
+    for row, column, value in spring(i, j) if n else ():
+        X.setValue(row % n, column % n, value, addv=PETSc.InsertMode.ADD)
     X.assemble()
-    return X
-
-
-def axpy(problem, i, j):
-    X = spring(problem, i, j)
     local(problem).axpy(1.0, X, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
     problem.A.assemble()
     X.destroy()
 
 
-def new_entries(problem):
-    """One after the other, on the last process alone."""
+def inserted(problem, entries):
+    """Add entries to the local matrix of the last process, one after the other."""
     K = local(problem)
     if LAST and K.getSize()[0]:
         K.setOption(PETSc.Mat.Option.NEW_NONZERO_ALLOCATION_ERR, False)
-        for i, j, value in ((0, 0, 3.0), (8, 8, 3.0), (0, 8, -3.0), (8, 0, -3.0)):
+        for i, j, value in entries:
             K.setValue(i, j, value, addv=PETSc.InsertMode.ADD)
     problem.A.assemble()
 
 
 def fewer_entries(problem):
     """The same dofs, no longer coupled by the smallest entries."""
-    n = local(problem).getSize()[0]
     indptr, indices, values = local(problem).getValuesCSR()
-    rows = np.repeat(np.arange(n), np.diff(indptr))
-    keep = (rows == indices) | (np.abs(values) > 0.2)
-    dropped = np.bincount(rows, np.where(keep, 0.0, values), minlength=n)
-    values = values + np.where(rows == indices, dropped[rows], 0.0)  # constants stay the kernel
-    csr = (np.concatenate([[0], np.cumsum(np.bincount(rows[keep], minlength=n))]), indices[keep])
-    csr = tuple(array.astype(PETSc.IntType) for array in csr)
-    replaced(problem, PETSc.Mat().createAIJ((n, n), csr=(*csr, values[keep]), comm=PETSc.COMM_SELF))
+    K = scipy.sparse.csr_array((values, indices, indptr), local(problem).getSize()).tocoo()
+    small = np.abs(K.data) <= 0.2
+    K.col[small] = K.row[small]  # constants stay the kernel
+    replaced(problem, aij(K.tocsr()))
 
 
 def numbering(problem):
@@ -90,13 +86,6 @@ def numbering(problem):
     problem.A.setISLocalMat(K)
     problem.A.assemble()
     lgmap.destroy()
-
-
-def one_entry(problem):
-    """Through the local matrix, on the last process alone."""
-    if LAST and local(problem).getSize()[0]:
-        local(problem).setValue(0, 0, 11.0, addv=PETSc.InsertMode.ADD)
-    problem.A.assemble()
 
 
 def local_values(problem):
@@ -113,8 +102,8 @@ def diagonal(problem):
     d.destroy()
 
 
-def fixed(problem, dofs):
-    """Of these dofs those that this process owns."""
+def owned(problem, dofs):
+    """Return the dofs of these that this process owns."""
     first, last = problem.A.getOwnershipRange()
     return dofs[(first <= dofs) & (dofs < last)].astype(PETSc.IntType)
 
@@ -122,14 +111,13 @@ def fixed(problem, dofs):
 def other_dirichlet(problem):
     """The opposite side is held."""
     dofs = np.flatnonzero(problem.x[:, 0] == problem.x[:, 0].max())
-    held = PETSc.IS().createGeneral(fixed(problem, dofs), comm=COMM)
-    problem.A.compose("dirichlet", held)
+    problem.A.compose("dirichlet", PETSc.IS().createGeneral(owned(problem, dofs), comm=COMM))
 
 
 def dirichlet_in_place(problem):
     """The same index set has one dof more, the last, on the process that owns it."""
     dofs = np.append(np.flatnonzero(problem.dirichlet), len(problem.dirichlet) - 1)
-    problem.A.query("dirichlet").setIndices(fixed(problem, dofs))
+    problem.A.query("dirichlet").setIndices(owned(problem, dofs))
 
 
 def stiffness(problem):
@@ -158,9 +146,9 @@ PATTERN = {
     "local matrix replaced": scaled_copy,
     # the first one is freed, so that PETSc may use its address again
     "local matrix replaced twice": lambda p: (scaled_copy(p), scaled_copy(p)),
-    "entries added in a subdomain": lambda p: axpy(p, 0, 8),
-    "two subdomains joined": lambda p: axpy(p, 0, -4),
-    "entries inserted": new_entries,
+    "entries added in a subdomain": lambda p: added(p, 0, 8),
+    "two subdomains joined": lambda p: added(p, 0, -4),
+    "entries inserted": lambda p: inserted(p, spring(0, 8)),
     "entries removed": fewer_entries,
     "numbering": numbering,
     "block size": lambda p: local(p).setBlockSize(3),
@@ -172,7 +160,7 @@ PATTERN = {
 VALUES = {
     "local matrix scaled": lambda p: local(p).scale(2.0),
     "torn matrix scaled": lambda p: p.A.scale(0.1),
-    "one entry": one_entry,
+    "one entry": lambda p: inserted(p, [(0, 0, 11.0)]),
     "values in the local numbering": local_values,
     "diagonal": diagonal,
     "stiffness": stiffness,
@@ -202,33 +190,12 @@ def problem(torn_grid):
     return torn
 
 
-def solve_directly(problem, b):
-    """Solve the assembled system of the present torn matrix."""
-    K, f = assembled_system(problem.A, problem.vector(b))
-    ksp = create_solver(K)
-    x = f.duplicate()
-    ksp.solve(f, x)
-    values = whole(x.array_r)
-    for made in (ksp, K, f, x):
-        made.destroy()
-    return values
-
-
 def holds_two_copies(problem):
     """Two subdomains that share dofs are joined: on three processes, which hold neighbours."""
     torn = Torn(problem.A)
     joined = has_joined_copies(problem.A, torn.subdomains)
     torn.destroy()
     return joined
-
-
-def test_neighbours_joined_are_refused(torn_grid, feti):
-    """Two subdomains on each process, neighbours on it; on one process they are all there are."""
-    problem = torn_grid((2 * COMM.size, 1), (2, 2))
-    ksp = feti(problem.A, ksp_rtol=RTOL)
-    PATTERN["two subdomains joined"](problem)
-    agree(holds_two_copies(problem))
-    solved(ksp, problem, random_values(problem))
 
 
 def solved(ksp, problem, b):
@@ -239,7 +206,17 @@ def solved(ksp, problem, b):
         agree(reason < 0 and not x.any() and "two copies of a dof" in message, message)
         return
     agree(reason > 0, ksp.getPythonContext().message)
-    equal(x, solve_directly(problem, b), CONDITION * RTOL)
+    expected = whole(solve_assembled(problem.A, problem.vector(b)))
+    equal(x, expected, CONDITION * RTOL)
+
+
+def test_neighbours_joined_are_refused(torn_grid, feti):
+    """Two subdomains on each process, neighbours on it; on one process they are all there are."""
+    problem = torn_grid((2 * COMM.size, 1), (2, 2))
+    ksp = feti(problem.A, ksp_rtol=RTOL)
+    PATTERN["two subdomains joined"](problem)
+    agree(holds_two_copies(problem))
+    solved(ksp, problem, random_values(problem))
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=" ".join)
@@ -287,10 +264,9 @@ def test_unblocked_local_matrix(torn_grid, feti):
     problem = torn_grid((2, 2), (2, 2), components=2)
     ksp, b = feti(problem.A, ksp_rtol=RTOL), random_values(problem)
     solved(ksp, problem, b)
-    K = problem.local.copy()
-    csr = K.getValuesCSR()
-    replaced(problem, PETSc.Mat().createAIJ(K.getSize(), csr=csr, comm=PETSc.COMM_SELF))
-    K.destroy()
+    csr = problem.local.getValuesCSR()
+    K = PETSc.Mat().createAIJ(problem.local.getSize(), csr=csr, comm=PETSc.COMM_SELF)
+    replaced(problem, K)
     solved(ksp, problem, b)
 
 
@@ -331,17 +307,13 @@ def test_state_stays_where_nothing_changes(problem, feti):
 
 
 def test_state_keeps_what_it_names(problem):
-    """A local matrix that is freed cannot hand its address on."""
+    """A local matrix that is freed cannot hand its address on; another matrix may hold the same."""
     seen = []
     for _ in range(20):
         scaled_copy(problem)
         seen.append(state_of(problem.A))
-    agree(len({state.pattern for state in seen}) == len(seen))
-    agree(len(set(seen)) == len(seen))
-
-
-def test_state_of_two_matrices_with_one_local_matrix(problem):
+    agree(len({state.pattern for state in seen}) == len(set(seen)) == len(seen))
     sizes, dofs = problem.A.getSizes()[0], problem.A.getLGMap()[0].getIndices()
-    other = create_torn_matrix(problem.local, np.asarray(dofs), sizes, comm=COMM)
-    agree(state_of(other) != state_of(problem.A))
+    other = create_torn_matrix(local(problem), np.asarray(dofs), sizes, comm=COMM)
+    agree(state_of(other) != seen[-1])
     other.destroy()
