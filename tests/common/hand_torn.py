@@ -205,7 +205,7 @@ def tear(
 ) -> HandTorn:
     """Distribute subdomains over the processes and wrap them as a torn matrix."""
     bs, n = len(dirichlet) // len(x), len(dirichlet)
-    mine = [i for i in range(len(K)) if i * COMM.size // len(K) == COMM.rank]
+    mine = own_subdomains(len(K))
     local = block_matrix(
         [(K[i], np.ones_like(K[i]) if pattern is None else pattern) for i in mine], bs
     )
@@ -227,6 +227,11 @@ def tear(
     for vector in vectors:
         vector.destroy()
     return HandTorn(A, K, dofs, x, modes, dirichlet, local)
+
+
+def own_subdomains(count: int) -> list[int]:
+    """Return the numbers of the subdomains that this process has."""
+    return [i for i in range(count) if i * COMM.size // count == COMM.rank]
 
 
 def brick(

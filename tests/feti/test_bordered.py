@@ -33,15 +33,12 @@ def border(problem, m=2, *, symmetric=True, units=1.0, seed=3):
 
 def dense_solve(problem, b, B, C, D, d):
     """Solve the assembled bordered system; prescribed values are in b."""
-    K, free = problem.matrix, ~problem.dirichlet
-    known = np.where(free, 0.0, b)
-    M = np.block([[problem.free_matrix, B[free]], [C[free].T, D]])
-    scale = np.concatenate([np.ones(free.sum()), 1 / np.linalg.norm(B, axis=0)])
-    rows = np.concatenate([np.ones(free.sum()), 1 / np.linalg.norm(C, axis=0)])
-    f = np.concatenate([(b - K @ known)[free], d - C.T @ known])
-    z = scale * np.linalg.solve(rows[:, None] * M * scale, rows * f)
-    known[free] = z[: free.sum()]
-    return known, z[free.sum() :]
+    n, held = len(b), problem.dirichlet[:, None]
+    M = np.block([[np.where(held, np.eye(n), problem.matrix), B], [C.T, D]])
+    M *= (columns := 1 / np.linalg.norm(M, axis=0))
+    rows = 1 / np.linalg.norm(M, axis=1)
+    z = columns * np.linalg.solve(rows[:, None] * M, rows * np.concatenate([b, d]))
+    return z[:n], z[n:]
 
 
 def bordered(problem, ksp, b, B, C, D, d, solver=None):
