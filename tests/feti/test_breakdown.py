@@ -19,7 +19,7 @@ import pytest
 from cases import case, each, every_interior, every_type
 from collective import COMM, agree, equal, raises
 from hand_torn import random_values, softened, solve, solved, unsymmetric
-from problems import cube, elasticity, owned, poisson, torn, without
+from problems import cube, elasticity, owned, poisson, torn
 
 import dolfinx
 
@@ -244,14 +244,6 @@ def test_what_is_proved_is_there(kind, interior, share, torn_grid, parts):
 
 
 # ---- the problem class ----------------------------------------------------------------------
-
-
-@every_type
-def test_loose_part_of_the_mesh_raises(kind, solve):
-    """The right half is a body of its own, without a Dirichlet condition."""
-    problem = elasticity(without(cube(2, 4), lambda x: (x[0] > 0.24) & (x[0] < 0.76)))
-    with raises(dolfinx_feti.ConvergenceError, "kernel of dimension 3.*not connected"):
-        solve(problem, 4, {"feti_type": kind})
 
 
 def test_nan_coefficient_raises_and_leaves_u():

@@ -19,10 +19,7 @@ from hand_torn import nowhere
 from problems import cube, elasticity, poisson, torn
 
 import dolfinx_feti
-from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.pattern import create_pattern
-from dolfinx_feti.feti.setup import set_up
-from dolfinx_feti.runtime.lifetime import Lifetime
+from dolfinx_feti.runtime.petsc_options import inserted
 
 
 def resident():
@@ -46,12 +43,15 @@ def returned(problem):
     agree(before == after, (before, after))
 
 
-def created(problem):
-    """Make a KSP for a torn matrix, without a prefix."""
+def created(problem, **options):
+    """Make a KSP for a torn matrix, which nobody destroys."""
     ksp = PETSc.KSP().create(COMM)
+    ksp.setOptionsPrefix("memory_")
     ksp.setOperators(problem.A)
     ksp.setType(PETSc.KSP.Type.PYTHON)
     ksp.setPythonContext(dolfinx_feti.FETI())
+    with inserted("memory_", options):
+        ksp.setFromOptions()
     return ksp
 
 
@@ -59,14 +59,12 @@ def created(problem):
 def test_problem_is_freed_without_the_collector(solved, without_collector):
     """A cycle would leave the collective destruction of PETSc objects to chance."""
     linear = torn(poisson(cube(2, 4)), 6)
-    if solved:
-        linear.solve()
     context = linear.solver.getPythonContext()
     watched = [weakref.ref(linear), weakref.ref(context)]
     if solved:
-        parts = context.form
-        watched += [weakref.ref(part) for part in (parts.torn, parts.dual, parts.operator)]
-        del parts
+        linear.solve()
+        for name in ("torn", "dual", "operator"):
+            watched.append(weakref.ref(getattr(context.form, name)))
     del linear, context
     agree(all(ref() is None for ref in watched), [ref() for ref in watched])
 
@@ -74,25 +72,16 @@ def test_problem_is_freed_without_the_collector(solved, without_collector):
 @pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity"])
 @every_type
 def test_matrix_is_its_owners_again(kind, pc_type, torn_grid):
+    """A solver may be destroyed twice, unused, and after a second matrix."""
     problem = torn_grid((2, 2), (2, 2), components=2)
-    with returned(problem), Lifetime() as owner:
-        options = FETIOptions(type=kind, pc_type=pc_type)
-        pattern = create_pattern(problem.A, options, "memory_", owner)
-        for _ in range(2):
-            with Lifetime() as matrix:
-                set_up(pattern, matrix, matrix)
-        del pattern
-
-
-def test_solver_may_be_destroyed_twice_and_unused(torn_grid):
-    problem = torn_grid((2, 2), (2, 2))
     with returned(problem):
-        for steps in range(3):
-            ksp = created(problem)
+        for steps in range(4):
+            ksp = created(problem, feti_type=kind, feti_pc_type=pc_type)
             context = ksp.getPythonContext()
-            if steps > 0:
+            for _ in range(min(steps, 2)):
                 ksp.setUp()
-            if steps > 1:
+                problem.local.stateIncrease()
+            if steps > 2:
                 context.destroy(ksp)
             ksp.destroy()
             context.destroy()
