@@ -3,6 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The same solution on any number of processes and with any, also random, subdomains."""
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 from cases import each, every_type
 from collective import COMM, agree, equal, norm, small, whole
 from mixed import by_place
-from problems import Cell, Problem, cube, elasticity, left, owned, poisson, torn
+from problems import Cell, cube, elasticity, left, owned, poisson, torn
 
 import dolfinx
 
@@ -64,8 +66,6 @@ def test_same_solution_at_the_default_tolerance(solve):
 
 # ---- random subdomains and conditions -------------------------------------------------------
 
-SEEDS = (83, 1291, 40099)
-
 MESHES = {
     "triangles": (2, 4, Cell.triangle),
     "quadrilaterals": (2, 5, Cell.quadrilateral),
@@ -83,80 +83,77 @@ def check(problem, part, kind, solve, **options):
     return linear.solver.getPythonContext().report()
 
 
+def ragged(problem, rng):
+    """Random cells to random parts, most of them in pieces that touch in edges and vertices."""
+    return rng.integers(0, rng.integers(2, 9), problem.cells)
+
+
+def singles(problem, rng):
+    """Every cell its own."""
+    return np.arange(problem.cells)
+
+
+def large(problem, rng):
+    """One large subdomain and some single cells."""
+    cells = np.arange(problem.cells)
+    return np.where(cells % 5 == 0, 1 + cells // 5, 0)
+
+
+def rings(problem, rng):
+    """Around the middle: subdomains that enclose others."""
+    cells = np.arange(problem.cells, dtype=np.int32)
+    centre = dolfinx.mesh.compute_midpoints(problem.V.mesh, 2, cells)
+    return np.round(7 * np.abs(centre[:, :2] - 0.5).max(axis=1)).astype(np.int32)
+
+
 @every_mesh
 @every_type
 @every_equation
-@pytest.mark.parametrize("seed", SEEDS[:2])
-def test_random_cells_to_random_parts(mesh, kind, create, seed, solve):
-    """Ragged subdomains, most of them in pieces that touch in edges and vertices."""
+@pytest.mark.parametrize(("parts", "seed"), [(ragged, 83), (ragged, 1291), (singles, 0)])
+def test_any_parts(mesh, kind, create, parts, seed, solve):
     problem = create(cube(*mesh))
-    rng = np.random.default_rng(seed + COMM.rank)
-    part = rng.integers(0, rng.integers(2, 9), problem.cells)
+    part = parts(problem, np.random.default_rng(seed + COMM.rank))
     report = check(problem, part, kind, solve)
     agree(report.subdomains >= 2)
+    if parts is singles:
+        agree(report.subdomains == COMM.allreduce(problem.cells))
+        if create is elasticity and mesh is MESHES["triangles"] and kind == "classical":
+            agree(report.kernels[1] > 0, "a vertex on the clamped side leaves a rotation")
+
+
+@every_type
+@pytest.mark.parametrize(
+    ("parts", "mesh", "degree", "pc_type", "q"),
+    [
+        (ragged, (2, 5), 1, "lumped", "diagonal"),
+        (ragged, (2, 5), 1, "identity", "diagonal"),
+        (large, (3, 2), 1, "dirichlet", "preconditioner"),
+        (large, (3, 2), 2, "dirichlet", "preconditioner"),
+        (rings, (2, 7, Cell.quadrilateral), 1, "dirichlet", "preconditioner"),
+    ],
+)
+def test_other_parts_and_options(kind, parts, mesh, degree, pc_type, q, solve):
+    problem = elasticity(cube(*mesh), degree=degree, stretched=True)
+    part = parts(problem, np.random.default_rng(40099 + COMM.rank))
+    check(problem, part, kind, solve, feti_pc_type=pc_type, feti_coarse_q=q)
 
 
 @every_mesh
 @every_type
-@every_equation
-def test_every_cell_its_own(mesh, kind, create, solve):
-    problem = create(cube(*mesh))
-    report = check(problem, np.arange(problem.cells), kind, solve)
-    agree(report.subdomains == COMM.allreduce(problem.cells))
-    if create is elasticity and mesh is MESHES["triangles"] and kind == "classical":
-        agree(report.kernels[1] > 0, "a vertex on the clamped side leaves a rotation")
-
-
-@every_type
-@pytest.mark.parametrize("degree", [1, 2])
-def test_one_large_subdomain_and_some_single_cells(kind, degree, solve):
-    problem = elasticity(cube(3, 2), degree=degree)
-    part = np.zeros(problem.cells, dtype=np.int64)
-    part[::5] = 1 + np.arange(len(part[::5]))
-    check(problem, part, kind, solve)
-
-
-@every_mesh
-@every_type
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", [83, 1291, 40099])
 def test_random_dirichlet_conditions(mesh, kind, seed, solve):
     """Single components of single nodes with random values, on top of one that holds the body."""
     problem = elasticity(cube(*mesh))
-    V, dim = problem.V, problem.V.mesh.geometry.dim
-    x = V.tabulate_dof_coordinates()
     bcs = list(problem.bcs)
-    for j in range(dim):
-        # by coordinates, so that all processes agree on shared nodes
-        lottery = np.sin(1e4 * (x @ np.array([1.7, 2.9, 4.1])) + seed * (j + 1))
-        nodes = np.flatnonzero((lottery > 0.8) & ~left(x.T)).astype(np.int32)
-        part = V.sub(j)
-        collapsed, sub_map = part.collapse()
-        inverse = np.full(len(x), -1, dtype=np.int32)
-        sub_map = np.ravel(sub_map)
-        inverse[sub_map // dim] = np.arange(len(sub_map), dtype=np.int32)
-        g = dolfinx.fem.Function(collapsed)
+    for j in range(problem.V.mesh.geometry.dim):
+        part = problem.V.sub(j)
+        g = dolfinx.fem.Function(part.collapse()[0])
         g.interpolate(lambda x, j=j: np.cos(5.0 * x[0] + j) * x[1])
-        dofs = [nodes * dim + j, inverse[nodes]]
+
+        def lottery(x, j=j):  # by coordinates, so that all processes agree on shared nodes
+            return (np.sin(1e4 * ([1.7, 2.9, 4.1] @ x) + seed * (j + 1)) > 0.8) & ~left(x)
+
+        dofs = dolfinx.fem.locate_dofs_geometrical((part, g.function_space), lottery)
         bcs.append(dolfinx.fem.dirichletbc(g, dofs, part))
-    many = Problem(V, problem.a, problem.L, bcs)
     rng = np.random.default_rng(seed + 7 * COMM.rank)
-    check(many, rng.integers(0, 5, problem.cells), kind, solve)
-
-
-@every_type
-@pytest.mark.parametrize("pc_type", ["lumped", "identity"])
-def test_random_parts_with_other_options(kind, pc_type, solve):
-    problem = elasticity(cube(2, 5), stretched=True)
-    rng = np.random.default_rng(SEEDS[2] + COMM.rank)
-    options = {"feti_pc_type": pc_type, "feti_coarse_q": "diagonal"}
-    check(problem, rng.integers(0, 7, problem.cells), kind, solve, **options)
-
-
-@every_type
-def test_parts_with_holes_and_islands(kind, solve):
-    """Rings around a cell: subdomains that enclose others."""
-    problem = elasticity(cube(2, 7, Cell.quadrilateral))
-    mesh = problem.V.mesh
-    centre = dolfinx.mesh.compute_midpoints(mesh, 2, np.arange(problem.cells, dtype=np.int32))
-    ring = np.round(7 * np.abs(centre[:, :2] - 0.5).max(axis=1)).astype(np.int32)
-    check(problem, ring, kind, solve)
+    check(replace(problem, bcs=bcs), rng.integers(0, 5, problem.cells), kind, solve)
