@@ -160,7 +160,7 @@ def test_unsymmetric_form(kind, solve):
 
 
 def test_second_solve_sees_new_coefficients_and_values():
-    """Load, matrix and boundary values change between two solves; ghosts are those of the owners."""
+    """Load, matrix and boundary values change between two solves; ghosts follow their owners."""
     problem = poisson(cube(2, 5))
     mesh = problem.V.mesh
     k, load, g = (dolfinx.fem.Constant(mesh, value) for value in (1.0, 1.0, 0.0))

@@ -189,6 +189,7 @@ def test_stiffness_scaling_does_not_notice_jumps(kind, torn_grid, feti):
 
 # ---- Lanczos' method, with and without reorthogonalisation ----------------------------------
 
+
 @pytest.fixture
 def jumping(torn_grid):
     """Six squares in plane strain, every other one 10³ times stiffer, which the scaling ignores."""
