@@ -13,7 +13,7 @@ from cases import every_type
 from collective import COMM, agree, equal, norm, raises, random_part, small
 from mixed import by_place, errors_of_solves, solve_assembled
 from modes import modes_of
-from problems import cube, dirichlet
+from problems import cube, dirichlet, tagged
 from walls import PREFIX, tube, under_pressure, wall
 
 import dolfinx
@@ -188,11 +188,9 @@ def free_block(tangent, cells=6):
     F = kinematics.deformation_gradient(u)
     C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
     psi = materials.neo_hookean(C, c=3.0, J=J) + materials.perturbed_lagrangian(J, p, 1000.0)
-    above = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[2], 1.0))
-    tags = dolfinx.mesh.meshtags(mesh, 2, np.sort(above), np.ones(len(above), dtype=np.int32))
-    ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata={"quadrature_degree": 4})(1)
-    energy = psi * ufl.dx(metadata={"quadrature_degree": 4})
-    return under_pressure(u, p, clamped_below(V), energy, ds, tangent)
+    degree = {"metadata": {"quadrature_degree": 4}}
+    energy, above = psi * ufl.dx(**degree), tagged(mesh, lambda x: np.isclose(x[2], 1.0))
+    return under_pressure(u, p, clamped_below(V), energy, above(1, **degree), tangent)
 
 
 @pytest.mark.parametrize("create", [free_tube, free_block])
