@@ -8,11 +8,9 @@ import primal_form
 import pytest
 import scipy.linalg
 from cases import case, every_interior, every_type
-from collective import COMM, agree, dense, equal, raises, small, whole
+from collective import COMM, agree, dense, equal, small, whole
 from hand_torn import softened
 
-from dolfinx_feti.errors import FactorError, SetUpError
-from dolfinx_feti.feti.coarse.fields import averaged_fields
 from dolfinx_feti.feti.coarse.space import AveragedSpace
 from dolfinx_feti.runtime.petsc_options import inserted
 
@@ -23,26 +21,6 @@ GRID = case((3, 2), (3, 2), 2)
 
 def random(n):
     return np.random.default_rng(SEED + COMM.rank).standard_normal(n)
-
-
-@every_type
-def test_fields(kind, torn_grid, form):
-    """W = T V: on each subdomain its own columns and those of its neighbours, averaged."""
-    problem = torn_grid(**GRID)
-    primal = form(problem, type=kind, interior="eliminate", coarse_modes=2)
-    exact = primal_form.reference(problem, primal)
-    copies, start = primal.copies, COMM.scan(primal.copies.n) - primal.copies.n
-    expected = exact.T @ exact.V
-    worst = 0.0
-    fields = averaged_fields(copies, primal.space.V.columns)
-    for i, rows in enumerate(copies.blocks):
-        W = np.zeros((rows.stop - rows.start, expected.shape[1]))
-        owners = zip(fields.owners[i], fields.panels[i].count, strict=True)
-        numbers = [np.arange(first, first + count) for first, count in owners]
-        W[:, np.concatenate(numbers)] = fields.panels[i].dense()
-        local = expected[start + rows.start : start + rows.stop]
-        worst = max(worst, float(np.abs(W - local).max(initial=0.0)))
-    small(worst, 1e-10 * np.abs(expected).max())
 
 
 @every_type
@@ -130,27 +108,6 @@ def test_columns_and_their_choice_serve_another_matrix(repeated):
     z, zero = copies.average(random(copies.n)), np.zeros(copies.n)
     equal(later.correct(z, zero), space.correct(z, zero), 1e-7)
     later.destroy()
-
-
-@pytest.mark.processes(1, 2, 3, 4)
-def test_product_that_fails_on_one_process(torn_grid, form):
-    """S W of a subdomain of the last process: all raise, with the cause, and none waits."""
-    primal = form(torn_grid(**GRID), type="all_floating", interior="eliminate")
-    S = primal.parts.operator
-
-    class Failing:
-        torn, multiply_many = S.torn, S.multiply_many
-
-        def multiply_panels(self, i, W, *, transpose):
-            if COMM.rank == COMM.size - 1 and i == len(primal.copies.blocks) - 1:
-                raise FactorError("no memory for S W")
-            return S.multiply_panels(i, W)
-
-    with raises(SetUpError, "no memory for S W"):
-        AveragedSpace(primal.space.V, Failing(), prefix=PREFIX)
-    again = AveragedSpace(primal.space.V, S, prefix=PREFIX)
-    equal(dense(again.A_0), dense(primal.space.A_0), 1e-14)  # sums come in the order of messages
-    again.destroy()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02], ids=["definite", "indefinite"])

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import scipy.linalg
-from cases import case, each, every_type
+from cases import case, each, every_interior, every_type
 from collective import COMM, agree, dense, equal, matrix_of_map, random_part, small, whole
 from hand_torn import scaled_diagonal
 from modes import modes_of
@@ -16,7 +16,6 @@ from modes import modes_of
 from dolfinx_feti.feti.dual import system
 from dolfinx_feti.feti.dual.coarse import WeightedColumns
 from dolfinx_feti.feti.dual.krylov import INTERVAL, OPTIMISM, _StoppingTest
-from dolfinx_feti.feti.dual.system import DualSystem
 
 SEED = 90210
 
@@ -24,6 +23,7 @@ PROBLEMS = {
     "elasticity": case((2, 2), (2, 3), 2),
     "one cell each": case((2, 2, 2), (1, 1, 1), 3),
     "Laplace": case((3,), (4,)),
+    "no interior": case((3, 1), (1, 1), 2, fixed=lambda x: np.isin(x[:, 0], (0.0, 3.0))),
 }
 BUCKLING = scaled_diagonal(0.98)  # the kernel of each subdomain becomes negative
 every_problem = each("grid", PROBLEMS)
@@ -68,10 +68,13 @@ def matrix(system):
 @every_type
 @every_pc
 @every_state
-def test_preconditioner_is_the_weighted_one(grid, kind, pc_type, change, torn_grid, parts):
+@every_interior
+def test_preconditioner_is_the_weighted_one(
+    grid, kind, pc_type, change, interior, torn_grid, parts
+):
     """M = B_D Y B_Dᵀ ⪰ 0; M G s, Gᵀ M r and Gᵀ M G of the blocks; force of a jump: no props."""
     problem = torn_grid(change=change, **grid)
-    system = parts(problem.A, type=kind, pc_type=pc_type)
+    system = parts(problem.A, type=kind, pc_type=pc_type, interior=interior)
     pc, coarse, G, M = system.preconditioner, system.coarse, dense(system.coarse.G), matrix(system)
     B_D = dense(pc.B_D.matrix)
     equal(M, B_D @ weight_of(problem, system, pc_type) @ B_D.T, 1e-11)
@@ -83,60 +86,10 @@ def test_preconditioner_is_the_weighted_one(grid, kind, pc_type, change, torn_gr
     equal(dense(product.galerkin_matrix), G.T @ M @ G, 1e-12)
     product.destroy()
     agree((system.inertia.dual > 0) == (change is not None))
-    jump, free = (
-        np.random.default_rng(SEED + 3).standard_normal(system.dual.m),
-        ~system.pattern.dofs.fixed,
-    )
-    expected = system.torn.multiply(pc.extend(pc.B_D.T @ jump))
-    equal(whole(pc.apply(jump)[1][free]), whole(expected[free]), 1e-11)
-
-
-@every_type
-@every_pc
-@pytest.mark.parametrize("scaling", ["multiplicity", "stiffness"])
-def test_force_of_a_jump_is_the_residual_of_the_averaged_displacement(
-    kind, pc_type, scaling, torn_grid, parts
-):
-    """‖Tᵀ t‖ = ‖b − A x‖ where T x = u − E_Γ B_Dᵀ B u and u solves the torn equations."""
-    problem = torn_grid((2, 2), (3, 2), components=2, stiffness=lambda i: 7.0**i)
-    system = parts(problem.A, type=kind, pc_type=pc_type, scaling=scaling)
-    torn, inverse, gluing = system.torn, system.inverse, system.pattern.gluing
-    lam = np.random.default_rng(SEED + 1).standard_normal(gluing.B.getSize()[0])
-    reaction = system.dual.B.T @ lam[slice(*gluing.B.getOwnershipRange())]
-    force = np.where(system.pattern.dofs.fixed, 0.0, reaction)
-    for dofs, E in zip(system.operator.dofs, modes_of(system).E, strict=True):  # balanced: Eᵀ f = 0
-        force[dofs] -= E @ np.linalg.solve(E.T @ E, E.T @ force[dofs]) if E.size else 0.0
-    u = inverse.solve(force)
-    jump = system.dual.B @ u
-    averaged = u - system.preconditioner.extend(system.preconditioner.B_D.T @ jump)
-    t = system.preconditioner.apply(jump)[1]
-    free = torn.assemble(torn.dirichlet.astype(float)) == 0.0
-    expected = torn.assemble(force - torn.multiply(averaged))
-    equal(whole(np.where(free, torn.assemble(t), 0.0)), whole(np.where(free, expected, 0.0)), 1e-9)
-
-
-def test_extension_is_harmonic(torn_grid, parts):
-    """The extension of a rigid motion of the interface is that motion, without a force inside."""
-    problem = torn_grid((2, 2), (3, 3), components=2)
-    system = parts(problem.A)
-    pc, torn, glued = system.preconditioner, system.torn, system.pattern.gluing.glued
-    motion = torn.near_kernel() @ np.array([0.3, -1.1, 0.7])
-    w = np.zeros(torn.n)
-    w[glued] = motion[glued]
-    equal(whole(pc.extend(w)), whole(motion), 1e-12)
-    w[glued] = np.random.default_rng(SEED + 2).standard_normal(torn.n)[glued]
-    force = torn.multiply(pc.extend(w))
-    force[glued] = 0.0
-    small(np.abs(force).max(initial=0.0), 1e-11 * np.abs(problem.K_torn).max())
-
-
-def test_subdomains_may_have_no_interior(torn_grid, parts):
-    """Single cells in a row, held at both ends: the Schur complement is the matrix."""
-    ends = lambda x: (x[:, 0] == 0.0) | (x[:, 0] == 3.0)  # noqa: E731
-    problem = torn_grid((3, 1), (1, 1), components=2, fixed=ends)
-    system = parts(problem.A)
-    agree(all(len(rows) == 0 for rows in system.operator.interior))
-    equal(matrix(system), matrix(parts(problem.A, pc_type="lumped")), 1e-14)
+    if interior == "keep":
+        jump, free = random_part(system.dual.m), ~system.pattern.dofs.fixed
+        expected = system.torn.multiply(pc.extend(pc.B_D.T @ jump))
+        equal(whole(pc.apply(jump)[1][free]), whole(expected[free]), 1e-11)
 
 
 # ---- the dual operator ----------------------------------------------------------------------
@@ -168,10 +121,11 @@ def constraint(dual):
 @every_grid
 @every_type
 @every_change
-def test_operator(grid, kind, change, torn_grid, parts):
+@every_interior
+def test_operator(grid, kind, change, interior, torn_grid, parts):
     """(F λ − G s, 0) for (λ, s); F = B K⁺ Bᵀ = Fᵀ, on balanced λ with the Moore–Penrose inverse."""
     problem = torn_grid(change=change, **grid)
-    system = parts(problem.A, type=kind)
+    system = parts(problem.A, type=kind, interior=interior)
     dual, F, G = system.dual, flexibility(system), dense(system.coarse.G)
     equal(F, F.T, 1e-12)
     lam, s = (random_part(n) for n in (dual.m, dual.size - dual.m))
@@ -216,21 +170,6 @@ def test_constraint_preconditioner_is_the_inverse_it_stands_for(
     agree(system.dual.exact == (change is None))
     agree(system.dual.frozen == (change is None and system.coarse.MG is None))
     equal(z_s, np.zeros_like(z_s) if system.dual.frozen else -w - v, 1e-10)
-
-
-def test_eigenvalues_of_the_unfrozen_system_are_one_besides(torn_grid, parts, lifetime):
-    """Besides those of P M Pᵀ F there is a one for each coarse unknown."""
-    system = parts(torn_grid((2, 2), (2, 2)).A, pc_type="identity")
-    given = system.pattern.gluing, system.inverse, system.preconditioner, system.coarse
-    z_lam, z_s = constraint(lifetime.own(DualSystem(*given, cg=False)))
-    F, G = flexibility(system), dense(system.coarse.G)
-    operator = np.hstack([F, -G])
-    preconditioned = np.vstack([z_lam @ operator, z_s @ operator])
-    values = np.sort(np.linalg.eigvals(preconditioned).real)
-    projected = np.sort(np.linalg.eigvals(z_lam @ F).real)
-    nonzero = projected[np.abs(projected) > 1e-10]
-    expected = np.sort(np.concatenate([nonzero, np.ones(system.coarse.total)]))
-    equal(values[np.abs(values) > 1e-10], expected, 1e-7)
 
 
 @every_q

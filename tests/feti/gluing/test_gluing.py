@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The jump operator, its rows, counts and projections; sums over copies against the dense T."""
+"""The jump operator, its rows, counts and projections, against dense matrices."""
 
 import itertools
 
@@ -12,7 +12,6 @@ from cases import case, each, every_type
 from collective import COMM, agree, dense, equal, whole
 from hand_torn import nowhere
 
-from dolfinx_feti.feti.gluing.copies import Copies
 from dolfinx_feti.feti.gluing.jump import Gluing, weights_of_copies
 from dolfinx_feti.torn.matrix import Torn
 
@@ -130,46 +129,3 @@ def test_paper_counts_38052_multipliers_on_its_cube(components, lifetime):
     gluing = lifetime.own(Gluing(torn, all_floating=True))
     agree(COMM.allreduce(len(torn.subdomains)) == 512)
     agree(gluing.B.getSize() == (12_684 * components, 512 * 15 * components), gluing.B.getSize())
-
-
-# ---- sums, averages and scalar products of copies -------------------------------------------
-
-
-@pytest.fixture
-def copies_of(pattern, lifetime):
-    def create(problem, **options):
-        read = pattern(problem.A, **options)
-        delta = weights_of_copies(read.torn, read.torn.stiffness())
-        copies = lifetime.own(Copies(read.torn, read.dofs.interface, delta))
-        return copies, whole(copies.dofs + read.torn.start)
-
-    return create
-
-
-@every_type
-@pytest.mark.parametrize("shape", [(1, 1), (3, 2), (2, 2, 2)])
-def test_sum_average_and_product(kind, shape, torn_grid, copies_of):
-    """T Tᵀ t, T Tᵀ δ t and xᵀ y; nothing is left of dofs with a prescribed value."""
-    problem = torn_grid(shape, [2] * len(shape), components=len(shape))
-    copies, rows = copies_of(problem, type=kind)
-    T = np.where(problem.dirichlet, 0.0, problem.T[rows])
-    values = np.random.default_rng(SEED).standard_normal((2, len(rows)))
-    last = COMM.scan(copies.n)
-    t, s = values[:, last - copies.n : last]
-    δ = whole(copies.delta)
-    equal(whole(copies.sum(t)), T @ (T.T @ values[0]), 1e-14)
-    equal(whole(copies.average(t)), T @ (T.T @ (δ * values[0])), 1e-14)
-    x, y = T.T @ (δ * values)[0], T.T @ (δ * values)[1]
-    t, s = copies.average(t), copies.average(s)
-    equal(copies.dots((t, s), (s, s)), [x @ y, y @ y], 1e-12)
-    agree(len(copies.row) == np.count_nonzero((T @ T.T)[last - copies.n : last]))
-
-
-def test_copies_agree_to_the_last_bit(torn_grid, copies_of):
-    """Each copy gets the same sum, in whatever order the processes answer."""
-    problem = torn_grid((2, 2, 2), (2, 2, 2))
-    copies, rows = copies_of(problem, type="all_floating")
-    t = np.random.default_rng(SEED + COMM.rank).standard_normal(copies.n)
-    total, dof = whole(copies.sum(t)), problem.to_global[rows]
-    for of_dof in np.unique(dof):
-        agree(len(np.unique(total[dof == of_dof])) == 1)

@@ -12,17 +12,11 @@ import primal_form
 import pytest
 import scipy.linalg
 from cases import case, every_interior, every_type
-from collective import COMM, agree, equal, raises, random_part, small
+from collective import COMM, agree, equal, random_part, small
 from hand_torn import gradients
 
-from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.primal.adaptive import DOFS, STEPS, adaptive_columns
-from dolfinx_feti.feti.primal.assembled import (
-    assembled_products,
-    copy_block,
-    load_block_code,
-    shares_of_neighbours,
-)
+from dolfinx_feti.feti.primal.assembled import assembled_products, copy_block, load_block_code
 from dolfinx_feti.feti.primal.form import solver_on_interface
 
 SEED = 2013
@@ -115,15 +109,6 @@ def test_small_subdomains_have_few_columns():
     agree(not any(U.size for U in body.columns(9, 1e-12)))
 
 
-def test_subdomain_that_fails_on_one_process():
-    """All raise, with the cause, and none waits."""
-    body = Subdomains(20, 30)
-    if COMM.rank == COMM.size - 1:
-        body.S_ρ[1][:] = 0.0
-    with raises(SetUpError, "Singular matrix"):
-        body.columns(30, 0.1)
-
-
 def test_columns_do_not_depend_on_other_subdomains():
     """Nor on how many a process holds: random numbers begin anew with each."""
     together, alone = Subdomains(80, 80), Subdomains(80)
@@ -203,24 +188,6 @@ def test_products_with_the_assembled_matrix(kind, interior, torn_grid, form):
         found = product(i)(np.eye(len(rows)))
         worst = max(worst, float(np.abs(found - A).max(initial=0.0) / np.abs(A).max(initial=1.0)))
     small(worst, 1e-10 if interior == "keep" else 1e-6)  # A is unpacked in single precision
-
-
-def test_a_block_that_fails_on_one_process(torn_grid, form):
-    """All raise before a message is awaited; on one process no block is sent."""
-    primal = form(torn_grid(**GRID), interior="eliminate")
-
-    def block(i, rows):
-        if COMM.rank == COMM.size - 1:
-            raise MemoryError("no room")
-        return np.zeros(len(rows) * (len(rows) + 1) // 2)
-
-    if COMM.size == 1:
-        shares = shares_of_neighbours(primal.copies, block)
-        with raises(MemoryError, "no room"):
-            shares(0)
-        return
-    with raises(SetUpError, "no room"):
-        shares_of_neighbours(primal.copies, block)
 
 
 def test_rows_in_any_order(torn_grid, form):

@@ -142,23 +142,6 @@ def test_ritz_vectors(change, first, torn_grid, form):
     agree(W.shape[1] == len(exact) and np.all(np.diag(θ) > 0.99 * exact), (np.diag(θ), exact))
 
 
-@every_interior
-def test_small_eigenvalues_are_gone(interior, torn_grid, form):
-    """The next load takes the iterations of the unspoilt preconditioner, to the same solution."""
-    primal = form(torn_grid(change=SOFTENED, **GRID), interior=interior)
-    slow = slowed(primal)
-    loads = random_part(primal.copies.n, 2, seed=7).T
-    space, system = deflated(primal, slow, None)
-    _, before, trace = iterate(system, loads[0])
-    vectors = space.ritz_vectors(trace, most=20)
-    _, system = deflated(primal, slow, vectors)
-    x, after, _ = iterate(system, loads[1])
-    expected, fresh, _ = iterate(primal.system, loads[1])
-    equal(whole(x), whole(expected), 1e-8)
-    agree(before.eigenvalues[0] < 0.1 and after.eigenvalues[0] > 0.9 * DEFLATED)
-    agree(after.iterations <= fresh.iterations + 2 < before.iterations)
-
-
 def test_nothing_to_learn_from(torn_grid, form):
     """A solve of no iteration leaves what it was given, and one that ends in NaN, too."""
     primal = form(torn_grid(**GRID), interior="eliminate")

@@ -57,6 +57,9 @@ FREE = {
     "free in space": (
         case((2, 2, 1), (2, 1, 2), 3, fixed=nowhere), 6, "3 translations and 3 rotations free",
     ),
+    "one subdomain, which nothing glues": (
+        case((1, 1), (3, 3), 2, fixed=nowhere), 3, "2 translations and 1 rotation free",
+    ),
     "held at a point of the plane": (
         case((2, 2), (3, 2), 2, fixed=components(origin, 0, 1)), 1, "leave 1 rotation free",
     ),

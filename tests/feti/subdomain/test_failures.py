@@ -20,7 +20,6 @@ from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.pattern import create_pattern
 from dolfinx_feti.feti.setup import set_up
 from dolfinx_feti.feti.subdomain import analysis
-from dolfinx_feti.feti.subdomain.blocks import named
 from dolfinx_feti.feti.subdomain.factors.dense import PackedMatrix, pack
 from dolfinx_feti.feti.subdomain.factors.direct import Choice, create_factor
 from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
@@ -43,20 +42,6 @@ ERRORS = {
     "pivot": (FactorError, "a zero pivot (MUMPS: INFOG(1) = -10)"),
 }
 
-#: Where the set-up calls LAPACK, ARPACK, SciPy and MUMPS, subdomain by subdomain.
-PLACES = {
-    "analysis": ("factors.multifrontal.Fronts.__init__", "eliminate"),
-    "kernel": ("pseudoinverse.kernel_basis", "keep"),
-    "null space": ("pseudoinverse.factor_tells_singular", "keep"),
-    "soft modes": ("pseudoinverse.soft_modes", "eliminate"),
-    "regularised kernel": ("pseudoinverse._basis", "keep"),
-    "fronts": ("factors.multifrontal.Fronts.factor", "eliminate"),
-    "fronts of K": ("factors.multifrontal.Fronts.factor", "keep"),
-    "columns": ("operator.factor_with_pivots", "eliminate"),
-    "interior kernel": ("nullspace.factor_tells_singular", "eliminate"),
-    "factor": ("factors.pivoted.create_factor", "keep"),
-}
-
 
 def fail_on_last(monkeypatch, place, error):
     """Let a function raise an error on the last process."""
@@ -66,18 +51,6 @@ def fail_on_last(monkeypatch, place, error):
 
     if LAST:
         monkeypatch.setattr(f"dolfinx_feti.feti.subdomain.{place}", fail)
-
-
-@many
-@each("place", PLACES)
-def test_every_place_may_fail(place, torn_grid, parts, monkeypatch):
-    where, interior = place
-    if where.endswith(("factor_with_pivots", "create_factor")):
-        monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
-    fail_on_last(monkeypatch, where, ERRORS["LAPACK"])
-    A = torn_grid(**GRID).A
-    with raises(SetUpError, "Work on a subdomain failed .*SVD did not converge"):
-        parts(A, interior=interior)
 
 
 @many
@@ -119,13 +92,6 @@ def test_failure_leaves_no_circle(torn_grid, monkeypatch, without_collector):
     agree("SVD did not converge" in text, text)
     del system
     agree(watched() is None)
-
-
-def test_names_of_subdomains():
-    with raises(FactorError, "^subdomain 7: ZeroDivisionError: one and a half lines$"), named(7):
-        raise ZeroDivisionError("one and\n   a half lines")
-    with raises(FactorError, "^subdomain 3: a zero pivot$"), named(3):
-        raise FactorError("a zero pivot")
 
 
 def test_not_enough_work_space(torn_grid, parts, monkeypatch):

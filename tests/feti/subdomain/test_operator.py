@@ -10,11 +10,9 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from cases import each, every_type
-from collective import COMM, agree, dense, equal, matrix_of_map, small
-from hand_torn import random_values, scaled_diagonal, solve, unsymmetric
-from modes import modes_of
+from collective import COMM, agree, small
+from hand_torn import scaled_diagonal
 
-from dolfinx_feti.feti.dual.preconditioner import Dirichlet
 from dolfinx_feti.feti.subdomain import analysis
 from dolfinx_feti.feti.subdomain.analysis import worth_eliminating
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
@@ -26,7 +24,6 @@ CHANGES = {
     "prestress": scaled_diagonal(1.01),
     "compression": scaled_diagonal(0.99),
 }
-every_change = each("change", CHANGES)
 INDEFINITE = scaled_diagonal(0.5)
 
 
@@ -67,76 +64,6 @@ def test_elimination_is_exact(kind, change, way, torn_grid, parts, monkeypatch):
     small(max(errors), 1e-10 if change is INDEFINITE else 1e-11)
     agree(operator.negative_interior() == negative and (negative > 0) == (change is INDEFINITE))
     agree(np.all(condensed[np.setdiff1d(np.arange(torn.n), np.concatenate(operator.dofs))] == 0.0))
-
-
-def plain(system):
-    """The Dirichlet preconditioner without stabilisation."""
-    none = [np.zeros((len(rows), 0)) for rows in system.operator.dofs]
-    return Dirichlet(system.operator, system.preconditioner.B_D.matrix, none)
-
-
-@every_type
-@every_change
-def test_dual_system_is_that_of_the_kept_interior(kind, change, torn_grid, parts):
-    """M without stabilisation is the same matrix, and F on balanced multipliers where K R = 0."""
-    problem = torn_grid((2, 2), (4, 3), components=2, change=change)
-    kept, eliminated = (
-        parts(problem.A, type=kind, interior=choice) for choice in ("keep", "eliminate")
-    )
-    M, S = (
-        matrix_of_map(lambda r, s=s: plain(s).apply(r)[0], s.dual.m) for s in (kept, eliminated)
-    )
-    equal(S, M, 1e-11)
-    agree(eliminated.coarse.total == kept.coarse.total or change is not None)
-    if change is None:
-        F, F_eliminated = (matrix_of_map(s.dual.flexibility, s.dual.m) for s in (kept, eliminated))
-        G = dense(kept.coarse.G)
-        P = np.eye(len(F)) - G @ np.linalg.solve(G.T @ G, G.T)
-        equal(P @ F_eliminated @ P, P @ F @ P, 1e-10)
-        agree(all(modes_of(eliminated).exact))
-
-
-@every_type
-@every_change
-@pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity"])
-def test_solutions_agree(kind, change, pc_type, torn_grid, feti):
-    """Both ways to the same solution, and equally fast.
-
-    The residuals are the same in exact arithmetic. In floating point, directions lose their
-    orthogonality sooner or later, and with them the last digits their iteration: what is compared
-    is when six digits were reached.
-    """
-    problem = torn_grid((2, 2), (4, 3), components=2, change=change)
-    found, iterations = [], []
-    for choice, past in (("keep", "kept"), ("eliminate", "eliminated")):
-        options = {"feti_type": kind, "feti_pc_type": pc_type, "feti_interior": choice}
-        ksp = feti(problem.A, ksp_rtol=1e-11, **options)
-        ksp.setConvergenceHistory()
-        reason, x = solve(ksp, problem, random_values(problem, SEED))
-        agree(reason > 0, ksp.getPythonContext().message)
-        agree(ksp.getPythonContext().report().interior == past)
-        found.append(x)
-        norms = ksp.getConvergenceHistory()
-        iterations.append(int(np.argmax(norms <= 1e-6 * norms[0])))
-    equal(found[1], found[0], 1e-8)
-    agree(change is not None or abs(iterations[0] - iterations[1]) <= 2, iterations)
-
-
-def test_unsymmetric_matrices_are_kept(torn_grid, feti):
-    """`auto` keeps; `eliminate` is refused by a reason with a message."""
-    problem = torn_grid((2, 2), (3, 3), change=unsymmetric(0.01))
-    agree(feti(problem.A).getPythonContext().report().interior == "kept")
-    ksp = feti(problem.A, feti_interior="eliminate")
-    agree(solve(ksp, problem, random_values(problem))[0] == Reason.DIVERGED_PCSETUP_FAILED)
-    agree("feti_interior keep" in ksp.getPythonContext().message)
-
-
-def test_part_without_an_interface_is_singular(torn_grid, feti):
-    """A subdomain that nothing glues or holds has its kernel inside."""
-    problem = torn_grid((1, 1), (3, 3), components=2, fixed=lambda x: x[:, 0] < -1.0)
-    ksp = feti(problem.A, feti_interior="eliminate")
-    agree(solve(ksp, problem, random_values(problem))[0] == Reason.DIVERGED_PCSETUP_FAILED)
-    agree("kernel of dimension 3" in ksp.getPythonContext().message)
 
 
 @pytest.mark.parametrize(
