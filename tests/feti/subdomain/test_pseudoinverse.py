@@ -1,7 +1,9 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The generalised inverse: K K⁺ K = K without prestress, the exact algebra with it."""
+"""The generalised inverse and the Schur complement of each subdomain, against dense algebra."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +15,8 @@ from modes import modes_of
 from dolfinx_feti.errors import FactorError, SetUpError
 from dolfinx_feti.feti.setup import refined, set_up
 from dolfinx_feti.feti.subdomain import analysis, pseudoinverse
+from dolfinx_feti.feti.subdomain.analysis import worth_eliminating
+from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
 from dolfinx_feti.feti.subdomain.modes import kernel_basis
 
 SEED = 271104
@@ -23,6 +27,7 @@ def way(request, monkeypatch):
     """Subdomains are factored by fronts, or with pivots."""
     if request.param == "pivots":
         monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
+    return request.param
 
 
 @pytest.fixture
@@ -48,7 +53,9 @@ CHANGES = {
     "stiffening": scaled_diagonal(1.01),
     "softening": scaled_diagonal(0.99),
     "random": prestress((0.03, 0.0, -0.02, 0.04)),
+    "strong": prestress((0.3, 0.5, 0.2, 0.4)),
     "tiny": prestress((1e-9, 1e-7, 1e-11, 0.0)),
+    "of one subdomain": prestress((0.0, 1e-5, 0.0, 0.0)),
 }
 
 
@@ -66,76 +73,36 @@ def blocks(problem, system):
 
 @every_type
 @pytest.mark.parametrize("components", [1, 2])
-def test_generalised_inverse_solves_balanced_problems(components, kind, torn_grid, parts):
-    """K K⁺ K = K and K R = 0."""
-    problem = torn_grid((2, 2), (3, 2), components=components)
-    system = parts(problem.A, type=kind)
-    torn, fixed, found = system.torn, system.pattern.dofs.fixed, modes_of(system)
-    x = np.where(fixed, 0.0, np.random.default_rng(SEED).standard_normal(torn.n))
-    Kx = np.where(fixed, 0.0, torn.multiply(x))
-    back = system.inverse.solve(Kx)
-    equal(whole(back[fixed]), np.zeros(len(whole(back[fixed]))))
-    again = np.where(fixed, 0.0, torn.multiply(back))
-    equal(whole(again), whole(Kx), 1e-11)
-    pairs = zip(blocks(problem, system), found.E, strict=True)
-    error = max((np.abs(K @ E).max(initial=0.0) for K, E in pairs), default=0.0)
-    small(error, 1e-12 * np.abs(problem.K_torn).max())
-    agree(all(found.exact) and all(np.all(D == 0.0) for D in found.D))
-
-
-@every_type
 @each("change", CHANGES)
-def test_algebra_is_exact_for_any_matrix(change, kind, torn_grid, parts, unenriched):
-    """E and D satisfy RᵀE = I − D/ρ and K E = R D, and K⁺ that of K + ρ R Rᵀ."""
-    problem = torn_grid((2, 2), (2, 2), components=2, change=change)
+def test_algebra_is_exact_for_any_matrix(change, components, kind, torn_grid, parts, unenriched):
+    """RᵀE = I − D/ρ, K E = R D, and K⁺ is the inverse of K + ρ R Rᵀ, whose inertia is counted."""
+    problem = torn_grid((2, 2), (2, 2), components=components, change=change)
     system = parts(problem.A, type=kind)
     found = modes_of(system)
     y = np.random.default_rng(SEED + 2).standard_normal(system.torn.n)
     x = system.inverse.solve(y)
+    agree(not x[system.pattern.dofs.fixed].any())
     of_modes = zip(modes(system), found.E, found.D, found.rho, strict=True)
-    errors = [0.0]
+    errors, negative = [0.0], 0
     for K, dofs, (R, E, D, rho) in zip(
         blocks(problem, system), system.operator.dofs, of_modes, strict=True
     ):
-        k, scale = R.shape[1], np.abs(K).max()
+        k, scale, K_ρ = R.shape[1], np.abs(K).max(), K + rho * R @ R.T
         errors += [
             np.abs(R.T @ E - np.eye(k) + D / rho).max(initial=0.0),
             np.abs(K @ E - R @ D).max(initial=0.0) / scale,
-            np.abs((K + rho * R @ R.T) @ x[dofs] - y[dofs]).max() / np.abs(y).max(),
+            np.abs(K_ρ @ x[dofs] - y[dofs]).max() / np.abs(y).max(),
             np.abs(D - D.T).max(initial=0.0) / rho,
         ]
+        negative += np.count_nonzero(np.linalg.eigvalsh(K_ρ) < 0.0)
     small(max(errors), 1e-10)
+    agree(system.inverse.negative() == negative, (system.inverse.negative(), negative))
     defects = [np.abs(D).max(initial=0.0) for D in found.D]
     agree(all(exact == (defect == 0.0) for exact, defect in zip(found.exact, defects, strict=True)))
     if change is None:
         agree(all(found.exact))
-
-
-def test_defect_is_there_as_soon_as_the_modes_leave_the_kernel(torn_grid, parts):
-    """Only the changed subdomain is not exact; its defect is RᵀK R up to second order."""
-    problem = torn_grid((2, 2), (2, 2), components=2, change=prestress((0.0, 1e-5, 0.0, 0.0)))
-    system = parts(problem.A)
-    found = modes_of(system)
-    equal(whole(np.array(found.exact)), [True, False, True, True])
-    for K, R, D, exact in zip(
-        blocks(problem, system), modes(system), found.D, found.exact, strict=True
-    ):
-        size = np.abs(D).max()
-        assert exact or 1e3 * np.abs(D - R.T @ K @ R).max() < size > 1e-7 * np.abs(K).max()
-
-
-@each("change", CHANGES | {"strong": prestress((0.3, 0.5, 0.2, 0.4))})
-def test_negative_eigenvalues_are_counted(change, torn_grid, parts, unenriched):
-    """The factor's inertia against a dense eigensolver."""
-    problem = torn_grid((2, 2), (2, 3), components=2, change=change)
-    system = parts(problem.A)
-    expected = sum(
-        np.count_nonzero(np.linalg.eigvalsh(K + rho * R @ R.T) < 0.0)
-        for K, R, rho in zip(
-            blocks(problem, system), modes(system), modes_of(system).rho, strict=True
-        )
-    )
-    agree(system.inverse.negative() == expected, (system.inverse.negative(), expected))
+    if change is CHANGES["of one subdomain"] and kind == "all_floating":
+        equal(whole(np.array(found.exact)), [True, False, True, True])
 
 
 def crushed(K, dofs):
@@ -145,11 +112,12 @@ def crushed(K, dofs):
 
 
 @every_type
-@each("change", {"random": CHANGES["random"], "crushed": crushed})
+@each("change", {"crushed": crushed, **{name: CHANGES[name] for name in ("softening", "random")}})
 def test_buckling_modes_join_the_kernel(change, kind, torn_grid, parts, monkeypatch):
     """Enriched by its negative eigenvectors K_ρ is positive definite, and the algebra stays exact.
 
     K E = R D means Eᵀ K E = D − D²/ρ with whatever columns R has got, and whatever ρ they need.
+    K + Z Zᵀ has no negative eigenvalue, K has.
     """
     problem = torn_grid((2, 2), (2, 2), components=2, change=change)
     with monkeypatch.context() as patch:
@@ -158,13 +126,21 @@ def test_buckling_modes_join_the_kernel(change, kind, torn_grid, parts, monkeypa
     system = parts(problem.A, type=kind)
     found = modes_of(system)
     total = whole(np.array([plain.inverse.negative(), system.inverse.negative()]))
-    agree(total[::2].sum() > 0 and total[1::2].sum() == 0, total)
+    agree(total[::2].any() == (change is not CHANGES["softening"]) and not total[1::2].any(), total)
     wider = whole(found.dimensions) - whole(modes_of(plain).dimensions)
     agree(wider.min() >= 0 and wider.sum() >= total[::2].sum(), wider)
-    errors = [0.0]
-    for K, E, D, rho in zip(blocks(problem, system), found.E, found.D, found.rho, strict=True):
-        errors.append(np.abs(E.T @ K @ E - D + D @ D / rho).max(initial=0.0) / np.abs(K).max())
+    errors, lowest, stabilised = [0.0], [np.inf], [np.inf]
+    of_modes = zip(found.E, found.D, found.rho, found.stabilisation, strict=True)
+    for K, (E, D, rho, Z) in zip(blocks(problem, system), of_modes, strict=True):
+        scale = np.abs(K).max()
+        errors.append(np.abs(E.T @ K @ E - D + D @ D / rho).max(initial=0.0) / scale)
+        lowest.append(np.linalg.eigvalsh(K)[0] / scale)
+        stabilised.append(np.linalg.eigvalsh(K + Z @ Z.T)[0] / scale)
     small(max(errors), 1e-10)
+    agree(min(stabilised) > -1e-13 and COMM.allreduce(min(lowest), op=min) < -1e-3, stabilised)
+    counted = COMM.allreduce(found.negative_defects)
+    if (change, kind) == (CHANGES["softening"], "all_floating"):
+        agree(counted == 12, counted)
 
 
 def test_zero_pivot_of_buckling_modes_is_an_error(torn_grid, parts, monkeypatch):
@@ -197,23 +173,6 @@ def test_zero_pivot_found_by_a_solve_asks_for_null_vectors(torn_grid, parts, mon
     agree(all(found.exact) and bool(asked) == bool(found.exact))
 
 
-@every_type
-@pytest.mark.parametrize("change", ["softening", "random"])
-def test_what_buckles_is_stabilised(change, kind, torn_grid, parts):
-    """K + Z Zᵀ has no negative eigenvalue, K has."""
-    problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES[change])
-    system = parts(problem.A, type=kind)
-    counted = COMM.allreduce(modes_of(system).negative_defects)
-    agree(counted == 12 if (change, kind) == ("softening", "all_floating") else counted > 0)
-    lowest = {1.0: np.inf, 0.0: np.inf}
-    for K, Z in zip(blocks(problem, system), modes_of(system).stabilisation, strict=True):
-        for share in lowest:
-            value = np.linalg.eigvalsh(K + share * Z @ Z.T)[0] / np.abs(K).max()
-            lowest[share] = min(lowest[share], value)
-    agree(lowest[1.0] > -1e-13, lowest)
-    agree(COMM.allreduce(lowest[0.0], op=min) < -1e-3, lowest)
-
-
 @pytest.mark.parametrize("stiff", [0.0, 1e9], ids=["even", "stiff"])
 def test_rough_factors_only_where_they_precondition(stiff, torn_grid, pattern, lifetime):
     """Single precision, but double where a stiff tie would have it round the rest away."""
@@ -234,3 +193,62 @@ def test_rough_factors_only_where_they_precondition(stiff, torn_grid, pattern, l
     agree(refined(read, fine, lifetime) is fine)
     exact = fine.inverse.solve(y)
     small(np.abs(approximate - exact).max(initial=0.0) / np.abs(exact).max(initial=1.0), 1e-4)
+
+
+# ---- the Schur complement -------------------------------------------------------------------
+
+INDEFINITE, DIAGONAL = scaled_diagonal(0.5), ("none", "stiffening", "softening")
+
+
+def complement(K, Γ):
+    I = np.setdiff1d(np.arange(len(K)), Γ)  # noqa: E741
+    return K[np.ix_(Γ, Γ)] - K[np.ix_(Γ, I)] @ np.linalg.solve(K[np.ix_(I, I)], K[np.ix_(I, Γ)])
+
+
+@every_type
+@each("change", {"indefinite": INDEFINITE, **{name: CHANGES[name] for name in DIAGONAL}})
+def test_elimination_is_exact(kind, change, way, torn_grid, parts):
+    """S by all ways, S u_Γ = f̂ with K u = f inside, and the inertia of K_II."""
+    problem = torn_grid((2, 2), (6, 5), components=2, change=change)
+    system = parts(problem.A, type=kind, interior="eliminate")
+    torn, operator, fixed = system.torn, system.operator, system.pattern.dofs.fixed
+    fronts = [isinstance(factor, FrontFactor) for factor in operator.interior_factors]
+    agree(not any(fronts) if way == "pivots" or change is INDEFINITE else all(fronts))
+    K = problem.K_torn[torn.start : torn.start + torn.n, torn.start : torn.start + torn.n]
+    f = np.where(fixed, 0.0, np.random.default_rng(SEED).standard_normal(torn.n))
+    condensed = operator.condense(f)
+    errors, negative = [0.0], 0
+    for rows, Γ in zip(torn.subdomains, operator.dofs, strict=True):
+        free = rows[~fixed[rows]]
+        inside = np.setdiff1d(free, Γ)
+        negative += np.count_nonzero(np.linalg.eigvalsh(K[np.ix_(inside, inside)]) < 0.0)
+        S = complement(K[np.ix_(free, free)], np.searchsorted(free, Γ))
+        t = np.zeros(torn.n)
+        t[Γ] = np.random.default_rng(SEED + 1).standard_normal(len(Γ))
+        errors.append(np.abs(operator.multiply(t)[Γ] - S @ t[Γ]).max() / np.abs(S).max())
+        u = operator.extend(t, f)
+        errors.append(np.abs(u[Γ] - t[Γ]).max())
+        errors.append(np.abs(torn.multiply(u)[inside] - f[inside]).max(initial=0.0))
+        reaction = torn.multiply(u)[Γ] - f[Γ]
+        errors.append(np.abs(S @ t[Γ] - condensed[Γ] - reaction).max() / np.abs(S).max())
+    small(max(errors), 1e-10 if change is INDEFINITE else 1e-11)
+    agree(operator.negative_interior() == negative and (negative > 0) == (change is INDEFINITE))
+    agree(np.all(condensed[np.setdiff1d(np.arange(torn.n), np.concatenate(operator.dofs))] == 0.0))
+
+
+@pytest.mark.parametrize(
+    ("n", "on_interface", "condensed", "worth"),
+    [
+        (45, 42, False, True),
+        (3300, 950, False, True),
+        (1300, 700, False, False),
+        (1300, 700, True, True),
+        (8900, 2300, True, False),
+    ],
+    ids=["small", "part of a thin wall", "compact", "compact, with a pressure", "large"],
+)
+def test_choice(n, on_interface, condensed, worth):
+    """Dense blocks for thin walls, small subdomains, and condensed pressures; not if too large."""
+    dofs = SimpleNamespace(free=[np.arange(n)] * 2, interface=[np.arange(on_interface)] * 2)
+    torn = SimpleNamespace(comm=COMM, pressures=object() if condensed else None)
+    agree(worth_eliminating(torn, dofs) == worth)

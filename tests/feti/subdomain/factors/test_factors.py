@@ -1,32 +1,31 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Factors of dense and sparse blocks, in double and single precision, against dense algebra."""
+"""Factors of dense and sparse blocks against dense algebra, and the null vectors they find."""
 
+from functools import partial
 from types import SimpleNamespace
-
-from petsc4py import PETSc
 
 import numpy as np
 import pytest
 from cases import each
-from collective import COMM, agree, equal
-from hand_torn import unsymmetric
+from collective import COMM, agree, equal, small
+from hand_torn import block_matrix, unsymmetric
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.setup import set_up_operator
-from dolfinx_feti.feti.subdomain import analysis
+from dolfinx_feti.feti.subdomain import analysis, nullspace
 from dolfinx_feti.feti.subdomain.factors.dense import SINGLE, DenseFactor, PackedMatrix, pack
 from dolfinx_feti.feti.subdomain.factors.direct import Choice
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, create_fronts, load_fronts
 from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
 from dolfinx_feti.feti.subdomain.factors.regularised import factor_by_fronts
-from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, growth
+from dolfinx_feti.feti.subdomain.nullspace import factor_tells_singular, growth, null_space
 from dolfinx_feti.runtime.connectivity import block_graph
 from dolfinx_feti.runtime.petsc_library import rows_of
 from dolfinx_feti.runtime.petsc_options import inserted
 
-RHO = 3.0
+RHO, SEED = 3.0, 60221
 
 
 def packed(S):
@@ -41,6 +40,28 @@ def block(n, least, scale=1.0):
     S = scale * (Q * np.geomspace(least, 1.0, n)) @ Q.T
     R = np.linalg.qr(rng.standard_normal((n, min(n, 3))))[0]
     return packed(S), S, R
+
+
+@pytest.fixture
+def factored(lifetime):
+    """Factor K + ρ R Rᵀ + diag(shift), where K is one block, in one of four ways."""
+
+    def create(K, R=None, rho=RHO, shift=None, *, kind="fronts", bs=1):
+        rows, R = np.arange(len(K), dtype=np.int32), K[:, :0] if R is None else R
+        if kind == "dense":
+            return DenseFactor(packed(K), R, rho, shift)
+        if kind == "single":
+            return DenseFactor.in_single(packed(K), R, rho)
+        M = lifetime.own(block_matrix([(K, K)], bs))
+        if kind == "pivots":
+            return lifetime.own(PivotedFactor(M, rows, Choice("some_", True, 8), R, rho, shift))
+        with rows_of(M) as of_M:
+            fronts = create_fronts(
+                load_fronts(COMM), block_graph(of_M, bs), rows, rows, bs, rows[:0]
+            )
+            return factor_by_fronts(fronts, of_M, np.empty(fronts.work), R, rho)
+
+    return create
 
 
 def close(found, expected, tolerance):
@@ -113,22 +134,11 @@ def test_inverse_up_to_rounding_in_single_precision(n, scale):
     assert factor.memory() == 0.0
 
 
-@pytest.mark.parametrize("kind", ["single", "dense", "indefinite", "pivoted"])
-def test_destroyed_factor_raises(kind):
+@pytest.mark.parametrize("kind", ["single", "dense", "indefinite", "pivots"])
+def test_destroyed_factor_raises(kind, factored):
     """A vector, columns of either number, and none; memory that is free is not read."""
-    matrix, S, R = block(40, 1e-3)
-    if kind == "single":
-        factor = DenseFactor.in_single(matrix, R, RHO)
-    elif kind == "pivoted":
-        full = PETSc.Mat().createDense(S.shape, array=S, comm=PETSc.COMM_SELF)
-        sparse = full.convert(PETSc.Mat.Type.SEQAIJ, PETSc.Mat())
-        rows = np.arange(40, dtype=np.int32)
-        factor = PivotedFactor(sparse, rows, Choice("some_", True, 8), R, RHO)
-        sparse.destroy()
-        full.destroy()
-    else:
-        d = {"dense": 1.0, "indefinite": -1.0}[kind]
-        factor = DenseFactor(packed(np.diag(np.r_[d, np.ones(39)])))
+    S = np.diag(np.r_[-1.0 if kind == "indefinite" else 1.0, np.ones(39)])
+    factor = factored(S, kind="dense" if kind == "indefinite" else kind)
     shapes = [(40,), (40, 3), (40, 9), (40, 0)]
     for shape in shapes:
         assert np.isfinite(factor.solve(np.ones(shape))).all()
@@ -167,27 +177,6 @@ def elastic(shape, seed=11):
     return np.kron(K, np.eye(3) + 0.1), np.kron(one, np.eye(3))
 
 
-@pytest.fixture
-def factored(lifetime):
-    """Factor one block, by fronts or with pivots."""
-
-    def create(K, R, rho=RHO, pivots=False):
-        rows = np.arange(len(K), dtype=np.int32)
-        M = PETSc.Mat().createAIJ(K.shape, nnz=len(K), bsize=3, comm=PETSc.COMM_SELF)
-        lifetime.own(M)
-        M.setOption(PETSc.Mat.Option.IGNORE_ZERO_ENTRIES, True)
-        M.setValues(rows, rows, K)
-        M.assemble()
-        if pivots:
-            return lifetime.own(PivotedFactor(M, rows, Choice("some_", True, 8), R, rho))
-        with rows_of(M) as of_M:
-            graph = block_graph(of_M, 3)
-            fronts = create_fronts(load_fronts(COMM), graph, rows, rows, 3, rows[:0])
-            return factor_by_fronts(fronts, of_M, np.empty(fronts.work), R, rho)
-
-    return create
-
-
 CHANGES = {
     "kernel": lambda K, R: K,
     "prestress": lambda K, R: K + 1e-3 * np.diag(np.cos(np.arange(len(K)))),
@@ -197,7 +186,8 @@ CHANGES = {
 
 
 @each("change", CHANGES)
-def test_is_the_inverse_of_the_regularised_block(change, factored):
+@pytest.mark.parametrize("kind", ["dense", "fronts", "pivots"])
+def test_is_the_inverse_of_the_regularised_block(change, kind, factored):
     """K_ρ⁻¹ for one column and several."""
     K, R = elastic(SHAPE)
     K = change(K, R)
@@ -205,34 +195,23 @@ def test_is_the_inverse_of_the_regularised_block(change, factored):
     K_ρ = K + RHO * R @ R.T
     tolerance = 1e2 * np.finfo(float).eps * np.linalg.cond(K_ρ)
     Y = np.random.default_rng(5).standard_normal((len(K), 4))
-    for pivots in (False, True):
-        factor = factored(K, R, pivots=pivots)
-        agree(factor.memory() > 0.0 and factor.pivots == (0, 0))
-        X = factor.solve(Y)
-        equal(K_ρ @ X, Y, tolerance)
-        equal(factor.solve(Y[:, 1].copy()), X[:, 1], tolerance)
-
-
-@pytest.mark.parametrize("sign", [-1.0, 1.0], ids=["positive", "negative"])
-def test_negative_eigenvalues_are_counted(sign, factored):
-    """One of K_ρ, whichever way it is factored, as dense algebra has it."""
-    K, R = elastic(SHAPE)
-    y = np.linalg.eigh(K + RHO * R @ R.T)[1][:, 2]
-    bent = K - (1.0 + sign * 0.2) * (y @ K @ y) * np.outer(y, y)
-    for factor in (factored(bent, R), factored(bent, R, pivots=True)):
-        agree(factor is None or factor.pivots == (int(sign > 0.0), 0))
+    factor = factored(K, R, kind=kind, bs=3)
+    agree(factor.memory() > 0.0 and factor.pivots == (0, 0))
+    X = factor.solve(Y)
+    equal(K_ρ @ X, Y, tolerance)
+    equal(factor.solve(Y[:, 1].copy()), X[:, 1], tolerance)
 
 
 def test_modes_that_weigh_more_in_the_last_front(factored):
     """K_Q is positive definite, K_ρ is not: the correction tells."""
     K = 0.01 * elastic(SHAPE)[0] + np.eye(120 * 3)
-    last = factored(K, np.zeros((len(K), 0))).last
+    last = factored(K, bs=3).last
     others = np.setdiff1d(np.arange(len(K)), last)[: len(last)]
     K[last, last] -= 1.5
     R = np.zeros((len(K), len(last)))
     R[last, np.arange(len(last))] = 0.2
     R[others, np.arange(len(last))] = np.sqrt(1.0 - 0.2**2)
-    factor = factored(K, R)
+    factor = factored(K, R, bs=3)
     negative = int(np.count_nonzero(np.linalg.eigvalsh(K + RHO * R @ R.T) < 0.0))
     agree(factor.pivots == (negative, 0) and negative > 100)
 
@@ -243,8 +222,8 @@ def test_modes_that_the_last_front_does_not_hold(factored):
     n = len(K)
     both = np.block([[K, np.zeros((n, n))], [np.zeros((n, n)), 2.0 * K]])
     modes = np.block([[R, np.zeros(R.shape)], [np.zeros(R.shape), R]])
-    agree(factored(both, modes) is None)
-    factor = factored(both, modes, pivots=True)
+    agree(factored(both, modes, bs=3) is None)
+    factor = factored(both, modes, kind="pivots", bs=3)
     Y = np.ones((2 * n, 2))
     equal((both + RHO * modes @ modes.T) @ factor.solve(Y), Y, 1e-11)
 
@@ -275,3 +254,70 @@ def test_unsymmetric_matrices_and_long_indices_have_pivots(
     monkeypatch.setattr(analysis, "reads_in_place", lambda: False)
     system = parts(torn_grid((2, 2), (4, 3)).A, interior="keep")
     agree(all(isinstance(factor, PivotedFactor) for factor in system.inverse.factors))
+
+
+# ---- null vectors of random matrices --------------------------------------------------------
+
+every_size = pytest.mark.parametrize("dense", [1000, 10], ids=["all vectors", "inverse iteration"])
+every_kind = pytest.mark.parametrize("kind", ["pivots", "fronts", "dense"])
+
+
+def singular(n, nullity, spread, *, softest=1e-6):
+    """A positive semi-definite matrix, and its null vectors; scales far apart."""
+    rng = np.random.default_rng(SEED + n)
+    root = 10.0 ** (spread * (rng.random(n) - 0.5))
+    Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    values = np.concatenate([np.zeros(nullity), np.geomspace(softest, 1.0, n - nullity)])
+    K = root[:, None] * ((Q * values) @ Q.T) * root
+    return 0.5 * (K + K.T), Q[:, :nullity] / root[:, None]
+
+
+@pytest.fixture
+def null_vectors(factored):
+    """Find null vectors beside R, and whether a factor of K + ρ R Rᵀ tells that there are some."""
+
+    def find(K, kind, R=None):
+        d, way = np.abs(K.diagonal()), "dense" if kind == "dense" else "pivots"
+        again = partial(factored, K, rho=1.0, kind=way)
+        Y = null_space(lambda X: K @ X, lambda known, shift: again(known, shift=shift), d, R)
+        rho = float(d.mean())
+        factor = factored(K, R, rho, kind=kind) or factored(K, R, rho, kind="pivots")
+        return Y, factor_tells_singular(factor, d)
+
+    return find
+
+
+@every_size
+@every_kind
+@pytest.mark.parametrize("spread", [0.0, 3.0])
+@pytest.mark.parametrize(("known", "unknown"), [(0, 0), (3, 0), (0, 2), (3, 3), (1, 14)])
+def test_null_vectors_are_found(dense, kind, spread, known, unknown, null_vectors, monkeypatch):
+    """All of them but those that are known, whatever the scales."""
+    monkeypatch.setattr(nullspace, "ALL_VECTORS", dense)
+    K, null = singular(50, known + unknown, spread)
+    R = np.linalg.qr(null[:, :known])[0]
+    Y, told = null_vectors(K, kind, R)
+    agree(Y.shape == (50, unknown) and told == (unknown > 0), Y.shape)
+    root = np.sqrt(np.abs(K.diagonal()))[:, None]
+    both = np.linalg.qr(root * np.hstack([R, Y]))[0]
+    expected = np.linalg.qr(root * null)[0]
+    small(np.linalg.norm(expected - both @ (both.T @ expected)), 1e-6)
+
+
+@every_kind
+@pytest.mark.parametrize("softest", [1e-9, -1e-9])
+def test_soft_and_buckling_modes_are_no_null_vectors(kind, softest, null_vectors):
+    K, _ = singular(40, 0, 2.0, softest=abs(softest))
+    if softest < 0.0:
+        values, Q = np.linalg.eigh(K)
+        K = K - 2.0 * values[0] * np.outer(Q[:, 0], Q[:, 0])
+    Y, told = null_vectors(K, kind)
+    agree(Y.shape[1] == 0 and not told)
+
+
+def test_right_null_vectors_of_an_unsymmetric_matrix():
+    rng = np.random.default_rng(SEED)
+    K = rng.standard_normal((30, 28)) @ rng.standard_normal((28, 30))
+    Y = null_space(lambda X: K @ X, None, np.abs(K.diagonal()))
+    agree(Y.shape == (30, 2))
+    small(np.abs(K @ Y).max(), 1e-10 * np.abs(K).max() * np.abs(Y).max())
