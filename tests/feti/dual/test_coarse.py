@@ -5,7 +5,6 @@
 
 import contextlib
 
-from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -16,7 +15,8 @@ from hand_torn import scaled_diagonal
 from modes import modes_of
 
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.feti.coarse.gathered import GatheredSolver, whole_factor
+from dolfinx_feti.feti.coarse.gathered import GatheredSolver
+from dolfinx_feti.feti.coarse.group import GroupFactor
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, Fronts
 from dolfinx_feti.runtime.collective import raise_deferred
 from dolfinx_feti.runtime.petsc_options import inserted
@@ -100,26 +100,15 @@ def test_no_kernel_at_all(torn_grid, parts):
 
 
 @pytest.fixture
-def distributed(lifetime):
-    """Distribute a dense matrix by rows."""
+def gathered(lifetime):
+    """Distribute a matrix by rows and factor it; return the solver, and a random test solve."""
 
-    def create(A, own=None):
+    def create(A, own=None, **how):
         N = lifetime.own(PETSc.Mat().createAIJ(((own, len(A)), (own, len(A))), comm=COMM))
         N.setUp()
         for i in range(*N.getOwnershipRange()):
             N.setValues(i, range(len(A)), A[i])
         N.assemble()
-        return N
-
-    return create
-
-
-@pytest.fixture
-def gathered(distributed, lifetime):
-    """Factor a distributed matrix; return the solver, and a test solve of a random solution."""
-
-    def create(A, own=None, **how):
-        N = distributed(A, own)
         given = {"prefix": PREFIX, "symmetric": True, **how}
         solver = lifetime.own(GatheredSolver(N, **given))
 
@@ -196,12 +185,11 @@ def test_whole_factor_where_it_will_do(kind, spread, gathered, monkeypatch):
     equal(A @ found, A @ solution, 1e-12)
 
 
-def test_options_name_a_solver_in_place_of_the_whole_factor(distributed):
-    N = distributed(random_definite(3 * COMM.size), 3)
+def test_options_name_a_solver_in_place_of_the_whole_factor(gathered):
     for option in ({"ksp_type": "cg"}, {"pc_type": "lu"}, {"pc_factor_mat_solver_type": "petsc"}):
         with inserted(PREFIX, option):
-            found = whole_factor(N, np.array([3]), MPI.COMM_SELF, prefix=PREFIX, zero=None)
-            agree(found is None)
+            solver, _ = gathered(random_definite(3 * COMM.size), 3, counts=np.array([3]))
+            agree(isinstance(solver.factor, GroupFactor))
 
 
 @any_number
@@ -308,16 +296,18 @@ def test_failed_solve_is_no_number(gathered):
         agree(np.isnan(solved()[0]).all())
 
 
+FACTOR, ERROR = "coarse problem could not be factored", "leaves a backward error"
+
+
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("message", "options"),
     [
-        ({"ksp_type": "nonsense"}, "coarse problem could not be factored"),
-        ({"pc_type": "no"}, "coarse problem could not be factored"),
-        ({"pc_type": "none", "ksp_type": "cg", "ksp_max_it": 1}, "leaves a backward error"),
-        ({"pc_type": "none", "ksp_type": "cg", "ksp_rtol": 1e-2}, "leaves a backward error"),
+        (FACTOR, {"pc_type": "no"}),
+        (ERROR, {"pc_type": "none", "ksp_type": "cg", "ksp_max_it": 1}),
+        (ERROR, {"pc_type": "none", "ksp_type": "cg", "ksp_rtol": 1e-2}),
     ],
 )
-def test_set_up_finds_a_coarse_solver_that_does_not_solve(options, message, torn_grid, feti):
+def test_set_up_finds_a_coarse_solver_that_does_not_solve(message, options, torn_grid, feti):
     """Too rough a solver is found out before the first iteration."""
     A = torn_grid((3, 2), (2, 2), components=2).A
     context = feti(A, **{f"feti_coarse_{key}": o for key, o in options.items()}).getPythonContext()

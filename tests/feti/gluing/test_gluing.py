@@ -25,6 +25,13 @@ GRIDS = {
     "no condition": case((2, 2), (1, 1), fixed=nowhere),
 }
 every_grid = each("grid", GRIDS)
+STIFFNESS = {
+    "multiplicity": lambda torn: np.ones(torn.n),
+    "stiffness": lambda torn: torn.stiffness(),
+    "some zero": lambda torn: np.arange(torn.n) % 2,
+    "all zero": lambda torn: np.zeros(torn.n),
+    "far apart": lambda torn: 10.0 ** (100 * (np.arange(torn.n) % 3 - 1.0)),
+}
 
 
 @pytest.fixture
@@ -78,18 +85,20 @@ def test_rows_interface_and_gap(grid, kind, glue):
 
 @every_grid
 @every_type
-@pytest.mark.parametrize("by_stiffness", [False, True], ids=["multiplicity", "stiffness"])
-def test_scaled_jumps_make_a_projection(grid, kind, by_stiffness, glue, lifetime):
+@each("stiffness", STIFFNESS)
+def test_scaled_jumps_make_a_projection(grid, kind, stiffness, glue, lifetime):
     """B_DᵀB is a projection with the kernel of B, B B_Dᵀ B = B, and I − B_DᵀB averages.
 
-    δ = k / Σ k, and a copy is weighed by the other side: (B_D)_ij = (δ_j, −δ_i).
+    A copy is weighed by the other side: (B_D)_ij = (δ_j, −δ_i). δ = k / Σ k is never zero or NaN.
     """
     problem, torn, gluing = glue(grid, kind)
-    own = weights_of_copies(torn, torn.stiffness() if by_stiffness else np.ones(torn.n))
-    δ, T = whole(own), problem.T
-    k = np.diag(problem.K_torn) if by_stiffness else np.ones(len(δ))
+    k = np.asarray(stiffness(torn), dtype=float)
+    own = weights_of_copies(torn, k)
+    δ, k, T = whole(own), whole(k), problem.T
     equal(T.T @ δ, np.ones(len(problem.dirichlet)), 1e-14)
-    equal(δ, k / (T @ T.T @ k), 1e-14)
+    agree(np.all(δ > 0.0), δ.min())
+    if 0.0 < k.min() and k.max() < 1e12 * k.min():
+        equal(δ, k / (T @ T.T @ k), 1e-14)
     B, B_D = dense(gluing.B), dense(lifetime.own(gluing.scaled_jumps(torn, own)))
     E = B_D.T @ B
     equal(E @ E, E, 1e-13)
@@ -103,22 +112,6 @@ def test_scaled_jumps_make_a_projection(grid, kind, by_stiffness, glue, lifetime
         expected = row[copies] * (δ[copies[::-1]] if len(copies) == 2 else 1.0)
         np.testing.assert_allclose(scaled[copies], expected, rtol=1e-14)
         assert np.count_nonzero(scaled) == len(copies)
-
-
-@every_grid
-@pytest.mark.parametrize("kind", ["some zero", "all zero", "far apart"])
-def test_any_stiffness_makes_a_projection(grid, kind, glue, lifetime):
-    """A weight is never zero, negative or NaN, whatever the stiffness is."""
-    _, torn, gluing = glue(grid)
-    stiffness = {
-        "some zero": (np.arange(torn.n) % 2).astype(float),
-        "all zero": np.zeros(torn.n),
-        "far apart": 10.0 ** (100 * (np.arange(torn.n) % 3 - 1.0)),
-    }
-    δ = weights_of_copies(torn, stiffness[kind])
-    B, B_D = dense(gluing.B), dense(lifetime.own(gluing.scaled_jumps(torn, δ)))
-    agree(np.isfinite(B_D).all() and δ.min(initial=1.0) > 0.0)
-    equal(B @ B_D.T @ B, B, 1e-13)
 
 
 @pytest.mark.parametrize("components", [1, 3])

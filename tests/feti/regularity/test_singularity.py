@@ -240,14 +240,6 @@ def test_hinge_that_is_held_is_no_mechanism(dense, kind, interior, torn_bricks, 
     solved(feti(problem.A, feti_type=kind, feti_interior=interior, ksp_rtol=1e-11), problem)
 
 
-def test_error_is_a_reason_on_all_processes(torn_bricks, feti):
-    problem = torn_bricks(APART, (2, 2), face)
-    ksp = feti(problem.A)
-    reason, _ = hand_torn.solve(ksp, problem, hand_torn.random_values(problem))
-    agree(reason == Reason.DIVERGED_PCSETUP_FAILED)
-    agree(ksp.getPythonContext().singular and "dimension 3" in ksp.getPythonContext().message)
-
-
 # ---- no false alarm -------------------------------------------------------------------------
 
 HARD = {

@@ -199,45 +199,37 @@ def some_panels(n):
         columns = np.zeros((n, k))
         columns[of] = part
         W = np.hstack([W, columns])
-    return of_panels(n, rows, widths, values), W
-
-
-def of_panels(n, rows, widths, values):
-    first = np.cumsum([0, *map(len, rows)])
-    first, rows, widths = (
-        np.asarray(array, dtype=np.int32) for array in (first, np.concatenate([*rows, []]), widths)
-    )
-    code = load_panels(COMM)
-    return Panels(code, n, first, rows, widths, np.concatenate([*map(np.ravel, values), []]))
+    parts = {"first": np.cumsum([0, *map(len, rows)]), "row": np.concatenate(rows)}
+    return panels(n, **parts, count=widths, values=np.concatenate([*map(np.ravel, values)])), W
 
 
 @pytest.mark.parametrize("n", [5, TILE, 2 * TILE + 7])
 def test_products_are_those_of_the_dense_columns(n, monkeypatch):
     """S is in packed format, as Schur complements are; every entry of a result is written."""
     monkeypatch.setattr(np, "empty", lambda shape, dtype=float: np.full(shape, np.nan, dtype))
-    panels, W = some_panels(n)
+    some, W = some_panels(n)
     rng = np.random.default_rng(1815)
     S, Y = rng.standard_normal((n, n)), rng.standard_normal((n, 3))
     S = S + S.T
-    agree(panels.shape == W.shape)
-    equal(panels.dense(), W)
-    equal(panels.overlap(Y), W.T @ Y, 1e-13 * n)
-    E = panels.overlap(S @ W, symmetric=True)
+    agree(some.shape == W.shape)
+    equal(some.dense(), W)
+    equal(some.overlap(Y), W.T @ Y, 1e-13 * n)
+    E = some.overlap(S @ W, symmetric=True)
     equal(E, W.T @ S @ W, 1e-13 * n**2)
-    equal(panels.product(S), S @ W, 1e-13 * n)
+    equal(some.product(S), S @ W, 1e-13 * n)
     single = S.astype(np.float32)
     for rows in (S, single):
-        found = rows_product(panels.code, rows, Y[:, 0])
+        found = rows_product(some.code, rows, Y[:, 0])
         equal(found, rows.astype(np.float64) @ Y[:, 0], 1e-13 * n)
-    equal(panels.squares(), (W**2).sum(axis=0), 1e-13 * n)
+    equal(some.squares(), (W**2).sum(axis=0), 1e-13 * n)
     matrix = PackedMatrix(pack(S), n, np.empty(n * n))
-    equal(matrix.multiply_panels(panels), S @ W, 1e-13 * n)
+    equal(matrix.multiply_panels(some), S @ W, 1e-13 * n)
 
 
 @pytest.mark.parametrize("n", [0, 3])
 def test_no_panels(n):
-    panels = of_panels(n, [], [], [])
-    agree(panels.shape == (n, 0) == panels.dense().shape == panels.product(np.eye(n)).shape)
-    agree(panels.overlap(np.ones((n, 2))).shape == (0, 2) and len(panels.squares()) == 0)
+    none = panels(n, first=[0], row=[], count=[], values=[])
+    agree(none.shape == (n, 0) == none.dense().shape == none.product(np.eye(n)).shape)
+    agree(none.overlap(np.ones((n, 2))).shape == (0, 2) and len(none.squares()) == 0)
     matrix = PackedMatrix(pack(np.eye(n)), n, np.empty(n * n))
-    agree(matrix.multiply_panels(panels).shape == (n, 0))
+    agree(matrix.multiply_panels(none).shape == (n, 0))
