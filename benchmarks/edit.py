@@ -193,6 +193,18 @@ def _rows(records: Sequence[Record]) -> list[dict[str, Any]]:
     return rows
 
 
+def _fields(records: Sequence[Record]) -> Fields:
+    """Return the rows, and the least and greatest quotients of all materials."""
+    rows = _rows(records)
+    found: dict[str, Any] = {"rows": rows, "edits": max(int(str(r["edit"])) for r in records)}
+    for name in ("first", "again"):
+        keys = [f"{given}_{name}_ratio" for given in ("residual", "energy")]
+        ratios = [row[key] for row in rows for key in keys if key in row]
+        found[f"{name}_least"] = min(ratios, default=None)
+        found[f"{name}_most"] = max(ratios, default=None)
+    return found
+
+
 def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
     """Draw the seconds of each material."""
     rows, legend = _rows(records), {n: {"color": c, "lw": 6} for n, c in ROUTES.values()}
@@ -218,7 +230,7 @@ STUDY = Study(
     options=_options,
     cases=_cases,
     run=_run,
-    fields=lambda records: {"rows": _rows(records)},
+    fields=_fields,
     draw=_draw,
 )
 
