@@ -107,15 +107,6 @@ def test_stiffness_scaling_and_weight_bear_a_jump(study_of):
     agree(bounded < 20.0 and min(condition.values()) > 10 * bounded, (bounded, condition))
 
 
-@pytest.mark.serial
-def test_reorthogonalisation_gives_the_same_condition_number(study_of):
-    usual = replace(SMALL, level=2)
-    records = study_of(usual, replace(usual, reorthogonalize=True))
-    agree([r["reorthogonalize"] for r in records] == [False, True])
-    plain, full = (r["condition_number"] for r in records)
-    small(plain / full - 1.0, 1e-3)
-
-
 def test_plan_holds_the_papers_table_first_and_no_case_twice():
     plan = [case for each in cube.SETS.values() for case in each()]
     agree(len(set(plan)) > 100)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.common.walls.oracle import KPA_PER_MMHG, LAYERS, Layer, Wall, inflate, stresses
+from benchmarks.common.walls.oracle import KPA_PER_MMHG, LAYERS, Layer, Wall, inflate
 
 pytestmark = pytest.mark.serial
 
@@ -28,10 +28,10 @@ KAPPAS = (np.inf, 1e5, 1000.0, 100.0)
 
 
 @pytest.mark.parametrize("mmhg", TABLE)
-@pytest.mark.parametrize("column", range(len(KAPPAS)))
-def test_published_digits(mmhg, column):
-    tube = inflate(mmhg * ROUNDED_KPA_PER_MMHG, Wall(kappa=KAPPAS[column]))
-    assert abs(tube.inner_displacement - TABLE[mmhg][column]) <= 0.5e-6
+def test_published_digits(mmhg):
+    for kappa, published in zip(KAPPAS, TABLE[mmhg], strict=True):
+        tube = inflate(mmhg * ROUNDED_KPA_PER_MMHG, Wall(kappa=kappa))
+        assert abs(tube.inner_displacement - published) <= 0.5e-6
 
 
 @pytest.mark.parametrize(
@@ -40,37 +40,6 @@ def test_published_digits(mmhg, column):
 )
 def test_published_volumes(mmhg, kappa, mean):
     assert abs(inflate(mmhg * KPA_PER_MMHG, Wall(kappa=kappa)).mean_jacobian - mean) <= 0.5e-3
-
-
-def energy(wall: Wall, angle: float, stretch_r: float, stretch_t: float) -> float:
-    """W [kPa], without its volumetric part if κ is infinite."""
-    cosine2 = np.cos(np.radians(angle)) ** 2
-    J = stretch_r * stretch_t * wall.stretch
-    scale, square = J ** (-2.0 / 3.0), wall.stretch**2
-    E = max(scale * (stretch_t**2 * cosine2 + square * (1.0 - cosine2)) - 1.0, 0.0)
-    W = wall.c / 2.0 * (scale * (stretch_r**2 + stretch_t**2 + square) - 3.0)
-    W += wall.k1 / wall.k2 * np.expm1(wall.k2 * E * E)
-    return W + wall.kappa / 2.0 * (J - 1.0) ** 2 if np.isfinite(wall.kappa) else W
-
-
-@pytest.mark.parametrize("kappa", [np.inf, 1000.0])
-@pytest.mark.parametrize("angle", [29.0, 62.0])
-@pytest.mark.parametrize("stretch", [1.0, 1.15])
-@pytest.mark.parametrize(("stretch_r", "stretch_t"), [(0.8, 1.3), (1.2, 0.85), (0.9, 1.1)])
-def test_stresses_are_derivatives_of_the_energy(kappa, angle, stretch, stretch_r, stretch_t):
-    wall, h = Wall(kappa=kappa, stretch=stretch), 1e-5
-    differences = [
-        (
-            energy(wall, angle, stretch_r + a, stretch_t + b)
-            - energy(wall, angle, stretch_r - a, stretch_t - b)
-        )
-        / (2 * h)
-        for a, b in ((h, 0.0), (0.0, h))
-    ]
-    # h² times a third derivative, and rounding eps W / h
-    np.testing.assert_allclose(
-        stresses(wall, angle, stretch_r, stretch_t, stretch), differences, rtol=1e-7, atol=1e-7
-    )
 
 
 STRESSED = (
@@ -123,12 +92,3 @@ def test_prestretched_layer_is_a_tube_that_is_pulled(kappa):
     for ρ, R in zip((inner, outer), free, strict=True):
         assert abs(ours.radius(ρ) - pulled.radius(R)) <= 1e-8
         np.testing.assert_allclose(ours.stress(ρ), pulled.stress(R), atol=1e-6)
-
-
-def test_opening_evens_the_hoop_stress():
-    """Under load; without it the stress is compression inside and tension outside the media."""
-    loaded = [inflate(100 * KPA_PER_MMHG, Wall(layers=each)) for each in (LAYERS, STRESSED)]
-    whole, cut = (tube.stress(0.71)[1] / tube.stress(0.97)[1] for tube in loaded)
-    assert cut < 0.5 * whole
-    rest = inflate(0.0, Wall(layers=STRESSED))
-    assert rest.stress(0.71)[1] < 0.0 < rest.stress(0.97)[1]

@@ -29,7 +29,7 @@ Millimetres and kPa.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -127,34 +127,26 @@ def inflate(pressure: float, wall: Wall) -> Tube:
     return Tube(wall, pressure, lambda R: at(R)[1] * R, jacobian, stress)
 
 
-def stresses(
-    wall: Wall, angle: float, stretch_r: float, stretch_t: float, stretch_z: float
-) -> tuple[float, float]:
-    """First Piola stresses P_rR = ∂W/∂λ_r and P_θΘ = ∂W/∂λ_θ [kPa], without κ if it is infinite."""
-    cosine2 = np.cos(np.radians(angle)) ** 2
-    J = stretch_r * stretch_t * stretch_z
-    scale = J ** (-2.0 / 3.0)
-    I1 = stretch_r**2 + stretch_t**2 + stretch_z**2
-    I4 = scale * (stretch_t**2 * cosine2 + stretch_z**2 * (1.0 - cosine2))
-    E = max(I4 - 1.0, 0.0)
-    fibre = 2.0 * wall.k1 * E * np.exp(wall.k2 * E * E)  # dW/dĪ₄, both families
-    P_r = wall.c * scale * (stretch_r - I1 / (3.0 * stretch_r))
-    P_r -= fibre * 2.0 * I4 / (3.0 * stretch_r)
-    P_t = wall.c * scale * (stretch_t - I1 / (3.0 * stretch_t))
-    P_t += fibre * (2.0 * scale * stretch_t * cosine2 - 2.0 * I4 / (3.0 * stretch_t))
-    if np.isfinite(wall.kappa):
-        P_r += wall.kappa * (J - 1.0) * stretch_t * stretch_z
-        P_t += wall.kappa * (J - 1.0) * stretch_r * stretch_z
-    return P_r, P_t
+def _energy(wall: Wall, angle: float, stretches: Sequence[complex]) -> complex:
+    """W [kPa] of the elastic stretches λ_r, λ_θ, λ_z, without κ if it is infinite."""
+    λ_r, λ_t, λ_z = stretches
+    J, cosine2 = λ_r * λ_t * λ_z, np.cos(np.radians(angle)) ** 2
+    E = J ** (-2 / 3) * (λ_t**2 * cosine2 + λ_z**2 * (1 - cosine2)) - 1
+    W = wall.c / 2 * (J ** (-2 / 3) * (λ_r**2 + λ_t**2 + λ_z**2) - 3)
+    if E.real > 0:
+        W += wall.k1 / wall.k2 * (np.exp(wall.k2 * E**2) - 1)
+    return W + wall.kappa / 2 * (J - 1) ** 2 if np.isfinite(wall.kappa) else W
 
 
 def _stresses(
     wall: Wall, layer: Layer, R: float, stretch_r: float, stretch_t: float
 ) -> tuple[float, float]:
-    """P_rR and P_θΘ [kPa] of a layer with residual stress."""
+    """P_rR = ∂W/∂λ_r and P_θΘ = ∂W/∂λ_θ [kPa], by a complex step: W' = Im W(λ + i h)/h."""
     G_r, G_t, G_z = layer.free(R)
-    P_r, P_t = stresses(wall, layer.angle, stretch_r / G_r, stretch_t / G_t, wall.stretch / G_z)
-    return P_r / G_r, P_t / G_t  # ∂W/∂λ at det G = 1
+    elastic, h = (stretch_r / G_r, stretch_t / G_t, wall.stretch / G_z), 1e-30
+    P_r = _energy(wall, layer.angle, (elastic[0] + 1j * h / G_r, *elastic[1:])).imag / h
+    P_t = _energy(wall, layer.angle, (elastic[0], elastic[1] + 1j * h / G_t, elastic[2])).imag / h
+    return P_r, P_t
 
 
 def _integrate(pressure: float, wall: Wall, r_i: float, dense: bool = False) -> list[Any]:
