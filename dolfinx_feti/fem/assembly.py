@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from petsc4py import PETSc
 
 import numpy as np
+import scipy.sparse
 
 import dolfinx
 import ufl
@@ -26,7 +27,7 @@ from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.fem.kernels.kernel import Kernel
 from dolfinx_feti.fem.regions import compile_cells
 from dolfinx_feti.runtime import compat
-from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Numbers
+from dolfinx_feti.runtime.arrays import Array, Indices, Mask
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.torn.matrix import create_torn_matrix
 
@@ -36,15 +37,10 @@ EXPANDED = dolfinx.la.BlockMode.expanded  # type: ignore[attr-defined]
 
 @dataclass(frozen=True, slots=True)
 class SplitForm:
-    """A form in two parts.
-
-    Attributes:
-        kernels: Integrals over cells, one kernel for each region.
-        rest: What dolfinx assembles; None for nothing.
-    """
+    """A form in two parts: kernels, one for each region of cells, and what dolfinx assembles."""
 
     kernels: tuple[Kernel, ...]
-    rest: dolfinx.fem.Form | None
+    rest: dolfinx.fem.Form | None  # None for nothing
 
 
 def split_form(
@@ -56,15 +52,10 @@ def split_form(
     return SplitForm(tuple(kernel for _, kernel in kernels), compiled)
 
 
-def torn_form(form: ufl.Form, space: TornSpace, compiler: Compiler | None = None) -> SplitForm:
-    """Compile a bilinear form, with both arguments in V, for a torn space. Collective.
-
-    Raises:
-        ValueError: It has integrals that couple subdomains, such as those over interior facets.
-    """
+def torn_form(form: ufl.Form, space: TornSpace, compiler: Compiler) -> SplitForm:
+    """Compile a bilinear form, with both arguments in V, for a torn space. Collective."""
     require_no_coupling(form)
-    mesh = space.V.mesh
-    return split_form(form, mesh, compiler or Compiler(mesh.comm), (space, space))
+    return split_form(form, space.V.mesh, compiler, (space, space))
 
 
 def dolfinx_form(
@@ -77,11 +68,7 @@ def dolfinx_form(
 
 
 def require_no_coupling(form: ufl.Form) -> None:
-    """Refuse integrals that couple cells otherwise than by common dofs.
-
-    Raises:
-        ValueError: The form has other integrals than those over cells, exterior facets and points.
-    """
+    """Refuse, by a ValueError, integrals over more than cells, exterior facets and points."""
     kinds = {integral.integral_type() for integral in form.integrals()}
     if "vertex" in kinds and not compat.has_vertex_integrals():
         raise ValueError(
@@ -104,8 +91,8 @@ class LocalMatrix:
 
     Attributes:
         csr: dolfinx's matrix.
-        mat: PETSc's, sequential AIJ. What changes the entries by way of ``csr`` calls its
-            ``stateIncrease``.
+        mat: PETSc's, sequential AIJ, which the owner destroys. What changes the entries by way of
+            ``csr`` calls its ``stateIncrease``.
         node: Torn nodes (blocks of dofs) of each owned cell, (cells, k).
         place: Where the columns of a node are in the rows of another, (cells, k, k).
     """
@@ -115,60 +102,33 @@ class LocalMatrix:
     node: Indices
     place: Indices
 
-    def destroy(self) -> None:
-        """Free PETSc's matrix."""
-        self.mat.destroy()
 
-
-def create_csr(
-    spaces: tuple[TornSpace, TornSpace], compiler: Compiler | None = None
-) -> dolfinx.la.MatrixCSR:
+def create_csr(spaces: tuple[TornSpace, TornSpace], compiler: Compiler) -> dolfinx.la.MatrixCSR:
     """Allocate dolfinx's matrix on torn spaces of rows and columns, of blocks of one size.
 
     All dofs of a cell are coupled, whether a form is integrated over that cell or not. Collective.
     """
     v, u = _first(ufl.TestFunction(spaces[0].V)), _first(ufl.TrialFunction(spaces[1].V))
     form = v * u * ufl.dx(metadata={"quadrature_degree": 0})
-    compiled = dolfinx_form(form, spaces, compiler or Compiler(spaces[0].V.mesh.comm))
-    pattern = dolfinx.fem.create_sparsity_pattern(compiled)
+    pattern = dolfinx.fem.create_sparsity_pattern(dolfinx_form(form, spaces, compiler))
     pattern.finalize()
     return dolfinx.la.matrix_csr(pattern, EXPANDED)
 
 
 @event("FETIPattern")
-def create_local_matrix(space: TornSpace, compiler: Compiler | None = None) -> LocalMatrix:
-    """Allocate the local matrix of a torn space, which the caller destroys. Collective."""
+def create_local_matrix(space: TornSpace, compiler: Compiler) -> LocalMatrix:
+    """Allocate the local matrix of a torn space. Collective."""
     csr = create_csr((space, space), compiler)
-    bs = space.V_torn.dofmap.index_map_bs
-    n = len(space.dof) * bs
+    topology, dofmap = space.V.mesh.topology, space.V_torn.dofmap
+    bs, n = dofmap.index_map_bs, len(csr.indptr) - 1
     indptr, indices = (a.astype(PETSc.IntType, copy=False) for a in (csr.indptr, csr.indices))
     mat = PETSc.Mat().createAIJWithArrays((n, n), (indptr, indices, csr.data), comm=PETSc.COMM_SELF)
     mat.setBlockSizes(bs, bs)  # an argument for it has no effect
-    return LocalMatrix(csr, mat, *locate(space, csr.indptr, csr.indices))
-
-
-def locate(space: TornSpace, indptr: Numbers, indices: Indices) -> tuple[Indices, Indices]:
-    """Return the nodes of each cell, and the places of their columns, see :class:`LocalMatrix`.
-
-    Rows begin at ``indptr``, and have ascending columns.
-
-    Raises:
-        ValueError: The matrix does not couple all nodes of a cell.
-    """
-    topology, dofmap = space.V.mesh.topology, space.V_torn.dofmap
     node = dofmap.list[: topology.index_map(topology.dim).size_local]
-    bs, n = dofmap.index_map_bs, (len(indptr) - 1) // dofmap.index_map_bs
-    length = np.diff(indptr).reshape(n, bs)
-    first = np.cumsum(length[:, 0]) - length[:, 0]  # of the entries of each node's first row
-    at = np.arange(length[:, 0].sum()) + np.repeat(indptr[:-1:bs] - first, length[:, 0])
-    pairs = np.repeat(np.arange(n), length[:, 0]) * (n * bs) + indices[at]
-    wanted = (node[:, :, None].astype(np.int64) * n + node[:, None, :]) * bs
-    place = np.searchsorted(pairs, wanted)
-    last = pairs[np.minimum(place + bs - 1, len(pairs) - 1)]
-    same = np.array_equal(length, np.broadcast_to(length[:, :1], length.shape))
-    if node.max(initial=-1) >= n or not same or not np.array_equal(last, wanted + bs - 1):
-        raise ValueError(f"K, of {n} nodes, does not couple all nodes of every cell")
-    return node, (place - first[node][:, :, None]).astype(np.int32)
+    first = scipy.sparse.csr_array((csr.indices, csr.indices, csr.indptr), (n, n))[::bs]
+    pairs = np.repeat(np.arange(n // bs) * n, np.diff(first.indptr)) + first.indices
+    place = np.searchsorted(pairs, node[:, :, None].astype(np.int64) * n + node[:, None, :] * bs)
+    return LocalMatrix(csr, mat, node, (place - first.indptr[node][:, :, None]).astype(np.int32))
 
 
 def assemble(K: LocalMatrix, form: SplitForm) -> None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,35 +42,19 @@ class Compiler:
     @property
     def cache(self) -> Path | None:
         """Folder for the package's own code, if dolfinx's options name one."""
-        folder = dolfinx.jit.get_options(self._options()["jit_options"])["cache_dir"]
         default, _ = dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS["cache_dir"]
-        return None if folder == default else Path(folder).expanduser()
+        return None if self._folder == str(default) else Path(self._folder).expanduser()
 
     def form(self, form: ufl.Form) -> dolfinx.fem.Form:
-        """Compile a form.
-
-        Raises:
-            Exception: It cannot be compiled, on all processes.
-
-        Note:
-            Collective.
-        """
+        """Compile a form, or raise on all processes what the compiler raises. Collective."""
         return self._compile("a form", lambda: dolfinx.fem.form(form, **self._options()))
 
     def expression(self, expression: ufl.core.expr.Expr, points: Array) -> dolfinx.fem.Expression:
-        """Compile an expression.
-
-        Args:
-            expression: The expression.
-            points: Where it is evaluated in the reference cell, (points, dimension).
+        """Compile an expression at points of the reference cell, (points, dimension). Collective.
 
         Raises:
             ValueError: It has no value at these points: it holds a quantity of facets, or data at
-                other quadrature points. On all processes.
-            Exception: It cannot be compiled, on all processes.
-
-        Note:
-            Collective.
+                other quadrature points. On all processes, as what the compiler raises.
         """
 
         def compiled() -> dolfinx.fem.Expression:
@@ -86,14 +71,16 @@ class Compiler:
             "jit_options": dict(self.jit_options or {}),
         }
 
+    @property
+    def _folder(self) -> str:
+        """Where FFCx keeps its code."""
+        return str(dolfinx.jit.get_options(self._options()["jit_options"])["cache_dir"])
+
     def _compile(self, what: str, work: Callable[[], T]) -> T:
         """Let dolfinx compile on all processes; the first one tells what takes long."""
 
         def told() -> T:
-            if self.comm.rank:
-                return work()
-            options = dolfinx.jit.get_options(self._options()["jit_options"])
-            with announced(what, options["cache_dir"]):
+            with contextlib.nullcontext() if self.comm.rank else announced(what, self._folder):
                 return work()
 
         return on_all(told, self.comm)

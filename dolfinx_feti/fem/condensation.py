@@ -25,7 +25,7 @@ import ufl
 from dolfinx_feti.fem.assembly import LocalMatrix
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
-from dolfinx_feti.fem.tensors import CellTensors
+from dolfinx_feti.fem.tensors import cell_tensors
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.native import load, pointer
 
@@ -114,7 +114,7 @@ class Condensation:
         self.fields = tuple(fields)
         blocks = [K for row in K_pp for K in row]
         self._linear = not any(p in _expanded(K).coefficients() for K in blocks for p in fields)
-        self._tensors = CellTensors([*K_up, *K_pu, *blocks, *F_p], V.mesh, compiler)
+        self._tensors = cell_tensors([*K_up, *K_pu, *blocks, *F_p], V.mesh, compiler)
         cells = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
         dofs = [p.function_space.dofmap.list[:cells] for p in fields]
         self._widths = [each.shape[1] for each in dofs]
@@ -165,7 +165,7 @@ class Condensation:
             one.interpolate(lambda x: np.ones(x.shape[1]))
             ones.append(one.x.array)
         forms = [ufl.TestFunction(p.function_space) * ufl.dx for p in self.fields]
-        volumes = CellTensors(forms, self._u.function_space.mesh, self._compiler).assemble()
+        volumes = cell_tensors(forms, self._u.function_space.mesh, self._compiler)()
         each = np.split(np.concatenate(ones)[self._place], np.cumsum(self._widths)[:-1], axis=1)
         means = [
             tied * c / (c * volume).sum(axis=1, keepdims=True)
@@ -236,7 +236,7 @@ class Condensation:
 
     def _assembled(self) -> tuple[Array, Array, Array, Array]:
         """Assemble K_up, (cells, d, n), K_pu, K_pp and r_p(u, p) − r_p(0, λ), (cells, n, 1)."""
-        n, parts = len(self.fields), self._tensors.assemble()
+        n, parts = len(self.fields), self._tensors()
         K_pp = [parts[i : i + n] for i in range(2 * n, len(parts) - n, n)]
         K_pu = [[part] for part in parts[n : 2 * n]]
         residual = np.concatenate(parts[-n:], axis=1)[:, :, None] - self._held

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse
 import scipy.sparse.csgraph
 
@@ -26,6 +25,7 @@ import dolfinx
 
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Numbers
+from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.events import event
 
 #: Dofs of a subdomain where the user gives no number, measured in ``docs/results/subdomains.md``.
@@ -98,30 +98,19 @@ def decompose(
             cells from one that is drawn with it. Without effect on given parts.
 
     Raises:
-        ValueError: More subdomains than cells, fewer than one, an array of the wrong length, or
-            parts below zero; a seed that is no integer or below zero.
-        TypeError: An array that is not of an integer type.
-
-    Note:
-        Collective; raises on all processes.
+        ValueError: The number of subdomains, the parts, or the seed are out of range, or the parts
+            are not those of the cells. Collective; raises on all processes.
+        TypeError: The parts are no integers.
     """
-    comm = mesh.comm
-    bad = not isinstance(seed, (int, np.integer)) or seed < 0
-    if comm.allreduce(bad, op=MPI.LOR):
-        raise ValueError(f"seed is {seed!r}: give zero or a positive integer.")
-    n_cells = mesh.topology.index_map(mesh.topology.dim).size_local
+    comm, n_cells = mesh.comm, mesh.topology.index_map(mesh.topology.dim).size_local
+    cells = np.array(comm.allgather(n_cells), dtype=np.int64)
+    on_all(lambda: _check(subdomains, seed, cells, comm.rank), comm)
     graph = compat.facet_graph(mesh.topology, n_cells)
     if isinstance(subdomains, (int, np.integer)):
-        cells = np.array(comm.allgather(n_cells), dtype=np.int64)
-        if not 1 <= subdomains <= cells.sum():
-            raise ValueError(
-                f"subdomains is {subdomains}, but the mesh has {cells.sum()} cells: "
-                "choose a number between one and the number of cells, or refine the mesh."
-            )
         part = _partition(graph, int(_shares(int(subdomains), cells)[comm.rank]), seed)
         part = _join_splinters(graph, part)
     else:
-        part = _check_parts(np.asarray(subdomains), n_cells, comm)
+        part = _numbered(subdomains)
     subdomain = _facet_components(graph, part)
     count = int(subdomain.max(initial=-1)) + 1
     return Decomposition(mesh, subdomain, count, comm.scan(count) - count)
@@ -152,21 +141,35 @@ def cell_sizes(space: TornSpace, n_cells: int) -> Array:
     return np.repeat(size, dofmap.index_map_bs)
 
 
-def _check_parts(part: npt.NDArray[np.generic], n_cells: int, comm: MPI.Comm) -> Indices:
-    bad_type = not np.issubdtype(part.dtype, np.integer)
-    if comm.allreduce(bad_type, op=MPI.LOR):
+def _check(subdomains: int | Integers, seed: int, cells: Numbers, rank: int) -> None:
+    """Refuse subdomains and a seed that do not fit the cells of each process, (processes,)."""
+    if not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise ValueError(f"seed is {seed!r}: give zero or a positive integer.")
+    part = np.asarray(subdomains)
+    if isinstance(subdomains, (int, np.integer)):
+        if not 1 <= subdomains <= cells.sum():
+            raise ValueError(
+                f"subdomains is {subdomains}, but the mesh has {cells.sum()} cells: "
+                "choose a number between one and the number of cells, or refine the mesh."
+            )
+    elif not np.issubdtype(part.dtype, np.integer):
         raise TypeError(
             f"subdomains is an array of type {part.dtype}: give integers, one part per owned cell."
         )
-    if comm.allreduce(part.shape != (n_cells,), op=MPI.LOR):
+    elif part.shape != (cells[rank],):
         raise ValueError(
-            f"subdomains has shape {part.shape} on process {comm.rank}, which owns {n_cells} "
+            f"subdomains has shape {part.shape} on process {rank}, which owns {cells[rank]} "
             "cells: give one part per owned cell on every process."
         )
-    lowest = comm.allreduce(int(part.min(initial=0)), op=MPI.MIN)  # type: ignore[attr-defined]
-    if lowest < 0:
-        raise ValueError(f"subdomains has a cell in part {lowest}: number the parts from zero on.")
-    return np.unique(part, return_inverse=True)[1].astype(np.int32).reshape(-1)
+    elif part.min(initial=0) < 0:
+        raise ValueError(
+            f"subdomains has a cell in part {part.min()}: number the parts from zero on."
+        )
+
+
+def _numbered(labels: Integers) -> Indices:
+    """Number the labels of cells from 0 on, in their order, (n_cells,)."""
+    return np.unique(labels, return_inverse=True)[1].astype(np.int32).reshape(-1)
 
 
 def _shares(subdomains: int, cells: Numbers) -> Numbers:
@@ -194,7 +197,7 @@ def _partition(graph: scipy.sparse.csr_array, parts: int, seed: int) -> Indices:
     links = compat.adjacency(rolled.indices.astype(np.int64), rolled.indptr.astype(np.int32))
     part = np.empty(n_cells, dtype=np.int32)
     part[cell] = dolfinx.graph.partitioner()(MPI.COMM_SELF, parts, links, False).array
-    return np.unique(part, return_inverse=True)[1].astype(np.int32).reshape(-1)
+    return _numbered(part)
 
 
 def _join_splinters(graph: scipy.sparse.csr_array, part: Indices) -> Indices:
@@ -202,23 +205,21 @@ def _join_splinters(graph: scipy.sparse.csr_array, part: Indices) -> Indices:
     links = graph.tocoo()
     for _ in range(ROUNDS):
         piece = _facet_components(graph, part)
-        size, owner = np.bincount(piece), np.zeros(piece.max(initial=-1) + 1, dtype=np.int32)
-        owner[piece] = part
+        size, owner = np.bincount(piece), part[np.unique(piece, return_index=True)[1]]
         order = np.lexsort((-size, owner))
         splinter = np.ones(len(size), dtype=bool)
         splinter[order[np.unique(owner[order], return_index=True)[1]]] = False  # the largest stay
-        a, b = piece[links.row], piece[links.col]
-        across = (a != b) & splinter[a]
-        if not np.any(across):
-            break
-        border = scipy.sparse.csr_array(
-            (np.ones(np.count_nonzero(across)), (a[across], part[links.col[across]])),
+        piece_of, part_of = piece[links.row], part[links.col]
+        across = splinter[piece_of] & (owner[piece_of] != part_of)
+        facets = scipy.sparse.csr_array(
+            (np.ones(np.count_nonzero(across)), (piece_of[across], part_of[across])),
             shape=(len(size), len(size)),
         )
-        touching = np.flatnonzero(np.diff(border.indptr))
-        target = owner.copy()
-        target[touching] = border[touching].argmax(axis=1).ravel()
-        part = target[piece]
+        touching = np.flatnonzero(np.diff(facets.indptr))
+        if not len(touching):
+            break
+        owner[touching] = facets[touching].argmax(axis=1).ravel()
+        part = owner[piece]
     return part
 
 
@@ -231,4 +232,4 @@ def _facet_components(graph: scipy.sparse.csr_array, part: Indices) -> Indices:
     )
     _, label = scipy.sparse.csgraph.connected_components(pieces, directed=False)
     order = part.astype(np.int64) * (label.max(initial=0) + 1) + label
-    return np.unique(order, return_inverse=True)[1].astype(np.int32).reshape(-1)
+    return _numbered(order)

@@ -20,52 +20,38 @@ from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array
 
 
-class CellTensors:
-    """Linear and bilinear forms whose cells are integrated in one visit."""
+def cell_tensors(
+    forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh, compiler: Compiler
+) -> Callable[[], list[Array]]:
+    """Compile linear and bilinear forms, of which some may be zero. Collective.
 
-    def __init__(
-        self, forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh, compiler: Compiler
-    ) -> None:
-        """Compile the forms.
+    Returns:
+        What integrates them at the present state in one visit of each cell, and returns for each
+        form (cells, …) with the dofs of a cell for each argument, in the order of the element.
 
-        Args:
-            forms: The forms, of which some may be zero.
-            mesh: Their mesh.
-            compiler: How they are compiled.
+    Raises:
+        ValueError: A form couples cells.
+    """
+    for form in forms:
+        require_no_coupling(form)
+    cells = mesh.topology.index_map(mesh.topology.dim).size_local
+    widths = [[_width(a.ufl_function_space()) for a in form.arguments()] for form in forms]
+    shapes = [(cells, *width) for width in widths]
+    kernels, parts = compile_cells(forms, mesh, compiler.cache)
+    rest = {
+        i: _assembler(form, shapes[i], compiler) for i, form in enumerate(parts) if not form.empty()
+    }
 
-        Raises:
-            ValueError: A form couples cells.
-
-        Note:
-            Collective.
-        """
-        for form in forms:
-            require_no_coupling(form)
-        cells = mesh.topology.index_map(mesh.topology.dim).size_local
-        self._shapes = [
-            (cells, *(_width(a.ufl_function_space()) for a in form.arguments())) for form in forms
-        ]
-        self._kernels, rest = compile_cells(forms, mesh, compiler.cache)
-        self._rest = {
-            i: _assembler(form, self._shapes[i], compiler)
-            for i, form in enumerate(rest)
-            if not form.empty()
-        }
-
-    def assemble(self) -> list[Array]:
-        """Integrate at the present state.
-
-        Returns:
-            For each form (cells, …) with the dofs of a cell for each argument, in the order of the
-            element.
-        """
-        values = [np.zeros(shape) for shape in self._shapes]
-        for numbers, kernel in self._kernels:
+    def assemble() -> list[Array]:
+        values = [np.zeros(shape) for shape in shapes]
+        for numbers, kernel in kernels:
             for i, part in zip(numbers, kernel.evaluate(), strict=True):
                 values[i][kernel.rows] += part
-        for i, assemble in self._rest.items():
-            values[i] += assemble()
+        for i, assemble_rest in rest.items():
+            values[i] += assemble_rest()
         return values
+
+    return assemble
 
 
 def _assembler(form: ufl.Form, shape: tuple[int, ...], compiler: Compiler) -> Callable[[], Array]:

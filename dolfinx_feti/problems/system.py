@@ -354,4 +354,4 @@ class System:
     def destroy(self) -> None:
         """Free the matrices."""
         self.A.destroy()
-        self._K.destroy()
+        self._K.mat.destroy()

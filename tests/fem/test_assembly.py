@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from collective import COMM, agree, dense, equal, raises, small, whole
+from collective import COMM, agree, dense, equal, small, whole
 from problems import Cell, Problem, cube, elasticity, poisson
 
 import dolfinx
@@ -19,6 +19,7 @@ import dolfinx.fem.petsc
 import ufl
 
 from dolfinx_feti.fem import assembly
+from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, tear
 from dolfinx_feti.fem.facets import one_side
 from dolfinx_feti.fem.near_kernel import attach_near_kernel
@@ -37,8 +38,10 @@ def torn_matrix(lifetime):
 
     def create(problem, subdomains=5):
         space = tear(problem.V, decompose(problem.V.mesh, subdomains))
-        K = lifetime.own(assembly.create_local_matrix(space))
-        assembly.assemble(K, assembly.torn_form(problem.a, space))
+        compiler = Compiler(COMM)
+        K = assembly.create_local_matrix(space, compiler)
+        lifetime.own(K.mat)
+        assembly.assemble(K, assembly.torn_form(problem.a, space, compiler))
         return space, K.mat, lifetime.own(assembly.create_matis(space, K.mat, problem.bcs))
 
     return create
@@ -126,8 +129,8 @@ def test_values_are_overwritten_in_shared_memory():
     problem = poisson(cube(2, 4))
     factor = dolfinx.fem.Constant(problem.V.mesh, 1.0)
     space = tear(problem.V, decompose(problem.V.mesh, 3))
-    K = assembly.create_local_matrix(space)
-    form = assembly.torn_form(factor * problem.a, space)
+    K = assembly.create_local_matrix(space, Compiler(COMM))
+    form = assembly.torn_form(factor * problem.a, space, Compiler(COMM))
     assembly.assemble(K, form)
     before, state = K.mat.copy(), K.mat.stateGet()
     assembly.assemble(K, form)
@@ -156,23 +159,6 @@ def test_pattern_is_complete(torn_matrix):
     rows = [indices[a:b] for a, b in itertools.pairwise(indptr)]
     agree(all(np.array_equal(row // 3 * 3, np.repeat(row[::3], 3)) for row in rows))
     agree(all(np.all(np.diff(row) > 0) for row in rows))
-
-
-@pytest.mark.parametrize("wrong", ["columns", "rows of a node", "nodes"])
-def test_matrix_without_a_place_is_refused(wrong):
-    """A pattern that does not couple the nodes of all cells is noticed, not written past."""
-    problem = elasticity(cube(3, 2))
-    space = tear(problem.V, decompose(problem.V.mesh, 2))
-    csr = assembly.create_csr((space, space))
-    indptr, indices = csr.indptr.copy(), csr.indices.copy()
-    if wrong == "columns":
-        indices[indptr[-4] :] = 0
-    elif wrong == "rows of a node":
-        indptr[1:-1:3] -= 3
-    else:
-        indptr = indptr[:-3]
-    with raises(ValueError, r"K, of \d+ nodes, does not couple all nodes"):
-        assembly.locate(space, indptr, indices)
 
 
 def test_cells_without_an_integral_have_their_place(torn_matrix):

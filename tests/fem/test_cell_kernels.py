@@ -22,7 +22,7 @@ from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.kernels import kernel
 from dolfinx_feti.fem.kernels.kernel import create_kernels
 from dolfinx_feti.fem.regions import compile_cells
-from dolfinx_feti.fem.tensors import CellTensors
+from dolfinx_feti.fem.tensors import cell_tensors
 
 EPS = np.finfo(float).eps
 
@@ -179,7 +179,7 @@ def test_surfaces_of_cells():
 
 def require_equal(forms: list[ufl.Form], mesh: dolfinx.mesh.Mesh) -> None:
     """Require the values of dolfinx; on several processes it has those of others, too."""
-    parts = CellTensors(forms, mesh, Compiler(COMM)).assemble()
+    parts = cell_tensors(forms, mesh, Compiler(COMM))()
     for form, values in zip(forms, parts, strict=True):
         if COMM.size == 1:
             equal(summed(form, values), assembled(form), 1e-13)
@@ -193,7 +193,7 @@ def test_what_is_no_number_stays_none():
     (u,) = (f for f in F_u.coefficients() if f.function_space == V)
     if mesh.topology.index_map(3).size_local:
         u.x.array[3 * V.dofmap.list[0, 0]] += 1.5
-    cells = CellTensors([energy, F_u, K], mesh, Compiler(COMM)).assemble()
+    cells = cell_tensors([energy, F_u, K], mesh, Compiler(COMM))()
     inverted = np.isnan(cells[0])
     agree(COMM.allreduce(int(inverted.sum())) > 0)
     for values in cells[1:]:
@@ -204,10 +204,10 @@ def test_values_at_the_time_of_evaluation():
     """Coefficients, constants and the mesh may change."""
     mesh = cube(2, 2)
     u, k = displacement(mesh, 1), dolfinx.fem.Constant(mesh, 2.0)
-    tensors = CellTensors([k * u[0] * u[0] * ufl.dx], mesh, Compiler(COMM))
-    (before,) = tensors.assemble()
+    tensors = cell_tensors([k * u[0] * u[0] * ufl.dx], mesh, Compiler(COMM))
+    (before,) = tensors()
     u.x.array[:] *= 3.0
     k.value = 1.0
     mesh.geometry.x[:] *= 2.0
-    (after,) = tensors.assemble()
+    (after,) = tensors()
     equal(after, 18.0 * before, 1e-14)

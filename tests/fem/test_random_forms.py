@@ -72,7 +72,7 @@ def torn(form: ufl.Form, V: dolfinx.fem.FunctionSpace) -> tuple[np.ndarray, int]
     K = assembly.create_local_matrix(space, compiler)
     split = assembly.torn_form(form, space, compiler)
     assembly.assemble(K, split)
-    K.destroy()
+    K.mat.destroy()
     at = (space.to_global[:, None] * bs + np.arange(bs)).ravel()
     return added(dense(K.csr, len(at), len(at)), V, at, at), len(split.kernels)
 
