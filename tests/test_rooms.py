@@ -12,15 +12,11 @@ from pathlib import Path
 
 import pytest
 import rooms
-
-import dolfinx_feti
-
-ROOT = Path(dolfinx_feti.__file__).parents[1]
+from wall_files import ROOT
 
 pytestmark = pytest.mark.serial
 
 MODULES = {module.name: module for module in rooms.modules()}
-FINITE_ELEMENTS = {"basix", "dolfinx", "ffcx", "ufl"}
 LONGEST, FULLEST = 400, 15
 #: The gallery is flat: a folder for each demo would hide them.
 GALLERY = 18
@@ -59,11 +55,6 @@ def own(path: Path) -> set[str]:
     return found
 
 
-def attributes(path: Path) -> set[str]:
-    """Names of all attributes that a file uses."""
-    return {node.attr for node in ast.walk(tree(path)) if isinstance(node, ast.Attribute)}
-
-
 def foreign(path: Path) -> set[str]:
     """Packages that a file imports."""
     return {name.split(".")[0] for name in imports(path)} - {"dolfinx_feti"}
@@ -76,12 +67,6 @@ def everything_below(names: set[str]) -> set[str]:
         known |= names
         names = set().union(*(own(MODULES[name].path) for name in known))
     return known
-
-
-def in_room(room: str) -> set[str]:
-    names = {name for name in MODULES if name.startswith(f"{room}.")}
-    assert names
-    return names
 
 
 def test_every_file_has_its_place_in_the_order():
@@ -97,42 +82,34 @@ def test_imports_follow_the_order_of_the_data():
         assert not later, f"{name} imports {later}"
 
 
-def test_dual_strand_knows_no_finite_elements():
-    """Nor does anything that it imports."""
-    for name in everything_below(in_room("feti")):
-        packages = foreign(MODULES[name].path)
-        assert not packages & FINITE_ELEMENTS, name
-        assert packages - set(sys.stdlib_module_names) <= {
-            "mpi4py", "petsc4py", "numpy", "scipy", "cffi",
-        }, name  # fmt: skip
+#: What a room knows, directly or not: rooms, and packages beside Python's own. The solver knows no
+#: finite elements, which hand over at the torn matrix; mechanics is UFL, and knows no solver.
+KNOWS = {
+    "feti": ("errors runtime torn", "cffi mpi4py numpy petsc4py scipy"),
+    "fem": ("errors runtime torn", "basix cffi dolfinx ffcx mpi4py numpy petsc4py scipy ufl"),
+    "mechanics": ("", "basix dolfinx numpy scipy ufl"),
+    "workshop": ("errors mechanics runtime", "basix dolfinx matplotlib mpi4py numpy scipy ufl"),
+}
 
 
-def test_mechanics_knows_no_feti():
-    """It is UFL, and would serve without any solver; dolfinx assembles what is tried at a rim."""
-    for name in everything_below(in_room("mechanics")):
-        assert name in in_room("mechanics"), name
-        assert not foreign(MODULES[name].path) & {"petsc4py", "mpi4py"}, name
-    use_dolfinx = {
-        name for name in in_room("mechanics") if "dolfinx" in foreign(MODULES[name].path)
-    }
-    assert use_dolfinx == {"mechanics.loads"}
+@pytest.mark.parametrize("room", KNOWS)
+def test_what_a_room_knows(room):
+    inside = {name for name in MODULES if name.startswith(f"{room}.")}
+    below = everything_below(inside)
+    used = {name: foreign(MODULES[name].path) for name in below}
+    others, packages = (words.split() for words in KNOWS[room])
+    assert inside and {name.split(".")[0] for name in below} <= {room, *others}
+    assert set().union(*used.values()) <= {*packages, *sys.stdlib_module_names}
+    if room == "mechanics":  # dolfinx assembles what is tried at a rim
+        assert [name for name in used if "dolfinx" in used[name]] == ["mechanics.loads"]
 
 
-def test_workshop_knows_no_solver():
-    """It compiles energies, on one cell."""
-    for name in everything_below(in_room("workshop")):
-        assert name.split(".")[0] in {"workshop", "mechanics", "runtime", "errors"}, name
-        assert "petsc4py" not in foreign(MODULES[name].path), name
-
-
-def test_finite_elements_know_no_solver():
-    """They hand over at the torn matrix."""
-    assert not everything_below(in_room("fem")) & in_room("feti")
-
-
-def test_generated_pages_are_up_to_date():
-    stale = [path.name for path, text in rooms.pages().items() if path.read_text() != text]
-    assert not stale, f"run python3 scripts/rooms.py: {stale}"
+def test_generated_pages_are_up_to_date(monkeypatch, capsys):
+    """And a stale one is noticed."""
+    assert rooms.main(["--check"]) == 0, "run python3 scripts/rooms.py"
+    monkeypatch.setattr(rooms, "equations_page", lambda: "another table")
+    assert rooms.main(["--check"]) == 1
+    assert "equations.md is out of date" in capsys.readouterr().out
 
 
 def test_overview_names_every_file():
@@ -141,28 +118,13 @@ def test_overview_names_every_file():
         assert rooms.overview().count(f"`{module.path.name}` | {module.summary} |") == 1
 
 
-def test_stale_page_is_noticed(monkeypatch, capsys):
-    monkeypatch.setattr(rooms, "equations_page", lambda: "another table")
-    assert rooms.main(["--check"]) == 1
-    assert "equations.md is out of date" in capsys.readouterr().out
-
-
-def test_no_two_test_files_have_one_name():
-    """Pytest imports them by their names."""
-    names = [path.name for path in files("tests") if path.name.startswith("test_")]
-    assert len(names) == len(set(names)), sorted(n for n in names if names.count(n) > 1)
-
-
 @pytest.mark.parametrize("folder", ["dolfinx_feti", "benchmarks", "demos", "meshes", "tests"])
-def test_no_file_is_long(folder):
-    long = {p.name: n for p in files(folder) if (n := len(p.read_text().splitlines())) > LONGEST}
-    assert not long
-
-
-@pytest.mark.parametrize("folder", ["dolfinx_feti", "benchmarks", "demos", "meshes"])
-def test_no_folder_is_crowded(folder):
-    folders = {path.parent for path in files(folder)}
+def test_no_file_is_long_and_no_folder_crowded(folder):
+    """The folders of tests are those of the package."""
+    found = files(folder)
+    assert not [path for path in found if len(path.read_text().splitlines()) > LONGEST]
     most = GALLERY if folder == "demos" else FULLEST
+    folders = {path.parent for path in found if folder != "tests"}
     assert not [f.name for f in folders if len(list(f.glob("*.py"))) > most]
 
 
@@ -201,30 +163,27 @@ def test_a_study_has_its_page_and_knows_only_common():
         assert not beside(path, "benchmarks") & studies, path
 
 
-def test_meshes_and_package_know_nothing_of_those_who_use_them():
-    for path in files("dolfinx_feti"):
-        assert not foreign(path) & {"benchmarks", "demos", "meshes", "tests"}, path
-    for path in files("meshes"):
-        assert not foreign(path) & {"benchmarks", "demos", "tests"}, path
-
-
-def test_demos_stand_alone():
-    """A demo needs the package, files of its own folder, and the meshes beside it."""
-    for path in files("demos"):
-        assert not foreign(path) & {"benchmarks", "tests"}, path
-
-
-def test_nobody_changes_the_path_of_modules():
-    """It is the checkout's root, by ``scripts/with-fenicsx`` or an editable installation."""
-    for path in files("dolfinx_feti", "demos", "benchmarks", "meshes"):
+@pytest.mark.parametrize(
+    ("folder", "users"),
+    [
+        ("dolfinx_feti", {"benchmarks", "demos", "meshes", "tests"}),
+        ("meshes", {"benchmarks", "demos", "tests"}),
+        ("demos", {"benchmarks", "tests"}),
+        ("benchmarks", set()),
+    ],
+)
+def test_a_folder_knows_nothing_of_those_who_use_it(folder, users):
+    """Nor does it change the path of modules: ``scripts/with-fenicsx`` or an installation does."""
+    for path in files(folder):
+        assert not foreign(path) & users, path
         assert "sys.path" not in path.read_text(), path
 
 
-@pytest.mark.parametrize("path", files("dolfinx_feti"), ids=str)
-def test_file_has_licence_and_docstring(path):
-    lines = path.read_text(encoding="utf-8").splitlines()
-    assert lines[0].startswith("# Copyright (C)") and "LGPL-3.0-or-later" in lines[2]
-    assert rooms.docstring(path)
+def test_every_file_has_licence_and_docstring():
+    for path in files("dolfinx_feti"):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        assert lines[0].startswith("# Copyright (C)") and "LGPL-3.0-or-later" in lines[2], path
+        assert rooms.docstring(path), path
 
 
 #: Rooms that users do not import from: in these a name without underscore is what other files use.
@@ -239,27 +198,8 @@ def test_public_names_are_declared_and_exist(name):
 
 
 def test_versions_are_told_apart_in_one_place():
+    """Nor is there a communicator but that of mesh or matrix: a command begins with all."""
     for name in set(MODULES) - {"runtime.compat"}:
-        assert not attributes(MODULES[name].path) & {"__version__", "version_info"}, name
-
-
-def test_no_communicator_but_that_of_mesh_or_matrix():
-    """A command begins with all processes."""
-    for name in set(MODULES) - {"runtime.compat"}:
-        assert "COMM_WORLD" not in attributes(MODULES[name].path), name
-
-
-#: Names that README, the demos and the paper's readers use.
-USED = {
-    "dolfinx_feti": "FETI LinearProblem NonlinearProblem compare kinematics loads materials",
-    "dolfinx_feti.comparison": "assembled_system measure",
-    "dolfinx_feti.loading": "Checkpoint LoadStep Steps follow_load",
-    "dolfinx_feti.output": "FieldWriter writable_folder",
-    "dolfinx_feti.wall": "by_layer facets read_wall",
-}
-
-
-@pytest.mark.parametrize("module", USED)
-def test_names_that_users_import(module):
-    public = importlib.import_module(module).__all__
-    assert set(USED[module].split()) <= set(public)
+        nodes = ast.walk(tree(MODULES[name].path))
+        used = {node.attr for node in nodes if isinstance(node, ast.Attribute)}
+        assert not used & {"__version__", "version_info", "COMM_WORLD"}, name

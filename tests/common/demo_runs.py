@@ -1,17 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What tests of demos share: where they are, what they leave behind, and what they refuse."""
+"""What tests of demos share: where they are, and what they leave behind."""
 
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from collective import COMM, agree
+from collective import agree
 from wall_files import ROOT, on_first
 
 DEMOS = ROOT / "demos"
@@ -32,20 +31,3 @@ def check_pictures(folder: Path, *names: str, height: int = 500, width: int = 80
 
     found = on_first(look)
     agree(all(range_ > 0.5 and h > height and w > width for range_, h, w in found), found)
-
-
-def refused(run, capsys, match: str, *arguments: object) -> None:
-    """The demo ends on all processes with status 2, and one line on the first."""
-    capsys.readouterr()
-    status = None
-    try:
-        run("demo_artery.py", *arguments)
-    except SystemExit as end:
-        status = end.code
-    agree(status == 2, status)
-    said = capsys.readouterr().err.splitlines()
-    if COMM.rank == 0:
-        ok = len(said) == 1 and re.search(f"^demo_artery.py: error: .*{match}", said[0])
-    else:
-        ok = not said
-    agree(ok, said)

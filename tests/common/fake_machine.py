@@ -13,7 +13,6 @@ import shutil
 import signal
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
 
@@ -65,46 +64,30 @@ PLAYED = {
 }
 
 
-@dataclass(frozen=True, slots=True)
 class Machine:
     """A checkout, a home and a PATH, all below `folder`."""
 
-    folder: Path
-
-    @classmethod
-    def create(cls, folder: Path) -> Machine:
+    def __init__(self, folder: Path) -> None:
         """Copy the scripts, link the real tools and write the played ones."""
-        machine = cls(folder)
-        shutil.copytree(CHECKOUT / "scripts", machine.checkout / "scripts")
-        machine.bin.mkdir()
+        self.folder = folder
+        self.checkout = folder / "check out"  # the blank has to survive all quoting
+        self.bin, self.trees = folder / "bin", folder / "trees"  # all of PATH, and Debian's trees
+        shutil.copytree(CHECKOUT / "scripts", self.checkout / "scripts")
+        self.bin.mkdir()
         for tool in REAL_TOOLS:
             found = shutil.which(tool)
             assert found is not None, f"these tests need the program {tool}"
-            (machine.bin / tool).symlink_to(found)
+            (self.bin / tool).symlink_to(found)
         for tool, body in PLAYED.items():
-            machine.play(tool, body)
-        return machine
+            self.play(tool, body)
 
-    @property
-    def checkout(self) -> Path:
-        """Where the scripts are; the blank has to survive all quoting."""
-        return self.folder / "check out"
-
-    @property
-    def bin(self) -> Path:
-        """The only folder on PATH."""
-        return self.folder / "bin"
-
-    @property
-    def trees(self) -> Path:
-        """The folder of the Debian trees."""
-        return self.folder / "trees"
-
-    def play(self, tool: str, body: str) -> None:
-        """Replace a program by the lines of a shell script."""
+    def play(self, tool: str, body: str | None) -> None:
+        """Replace a program by the lines of a shell script, or take it away."""
         path = self.bin / tool
-        path.write_text(f'#!/bin/sh\necho "{tool} $*" >>"$CALLS"\n{body}\n')
-        path.chmod(0o755)
+        path.unlink(missing_ok=True)
+        if body is not None:
+            path.write_text(f'#!/bin/sh\necho "{tool} $*" >>"$CALLS"\n{body}\n')
+            path.chmod(0o755)
 
     def calls(self, tool: str) -> list[str]:
         """The calls of a played program so far."""

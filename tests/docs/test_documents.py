@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What the documents name exists: paths, links, commands, modules and their names."""
+"""What documents and pages of the site name exists: paths, links, commands, modules, names."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields
-from pathlib import Path
 
+import look_at_site
 import pytest
+from wall_files import ROOT
 
 from dolfinx_feti.feti.options import FETIOptions
 
-ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "dolfinx_feti"
 FOLDERS = ("benchmarks", "demos", "docs", "dolfinx_feti", "meshes", "scripts", "tests")
 DOCUMENTS = [
@@ -26,6 +26,9 @@ DOCUMENTS = [
     *ROOT.glob("*/README.md"),
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
+
+#: A program in Python.
+BLOCK = r"^```python\n(.*?)^```"
 
 pytestmark = pytest.mark.serial
 
@@ -47,19 +50,10 @@ def links(text: str) -> Iterator[str]:
             yield target.split("#")[0]
 
 
-def blocks(text: str) -> list[str]:
-    """The blocks of Python."""
-    return re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)
-
-
 def imported(source: str) -> Iterator[tuple[str, str]]:
     """Yield the modules of this repository that a source imports from, and the names."""
     for node in ast.walk(ast.parse(source)):
-        if (
-            isinstance(node, ast.ImportFrom)
-            and node.module
-            and node.module.split(".")[0] in FOLDERS
-        ):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in FOLDERS:
             yield from ((node.module, alias.name) for alias in node.names)
 
 
@@ -72,7 +66,7 @@ def test_what_a_document_names_exists(document):
     missing += [target for target in links(text) if not (document.parent / target).exists()]
     modules = re.findall(r"-m\s+((?:benchmarks|meshes)[.\w]+\w)", text)
     missing += [name for name in modules if importlib.util.find_spec(name) is None]
-    names = [name for source in blocks(text) for name in imported(source)]
+    names = [name for source in re.findall(BLOCK, text, re.M | re.S) for name in imported(source)]
     missing += [it for it in names if not hasattr(importlib.import_module(it[0]), it[1])]
     assert not missing
 
@@ -102,15 +96,15 @@ BOUND, RESULTS, TOTAL = 900, 1200, 45_000
 def test_pages_are_short():
     """A visitor reads a page to its end."""
     words = {
-        path.relative_to(ROOT / "docs"): len(path.read_text(encoding="utf-8").split())
+        path: len(path.read_text(encoding="utf-8").split())
         for path in (ROOT / "docs").rglob("*.md")
         if "demos" not in path.parts
     }
-    long = {
-        str(path): n
+    long = [
+        path
         for path, n in words.items()
         if n > (RESULTS if "results" in path.parts else BOUND) and path.stem not in LONG
-    }
+    ]
     assert not long
     assert sum(words.values()) <= TOTAL
 
@@ -120,8 +114,8 @@ def test_names_of_the_api_exist():
     rows = re.findall(r"^\| `(dolfinx_feti[\w.]*)` \| (.+) \|$", table, re.M)
     assert len(rows) > 5
     for module, cell in rows:
-        for name in re.findall(r"`(\w+)`", cell):
-            assert hasattr(importlib.import_module(module), name), f"{module}.{name}"
+        names, it = set(re.findall(r"`(\w+)`", cell)), importlib.import_module(module)
+        assert names <= set(getattr(it, "__all__", dir(it))), module
 
 
 def test_options_and_their_defaults_are_those_of_the_code():
@@ -137,11 +131,7 @@ def test_theory_names_files_that_exist():
     text = (ROOT / "docs/theory.md").read_text(encoding="utf-8")
     found = re.findall(r"^\*([a-z/]+.*)\*$|\[([a-z/]+: [a-z, ]+)\]", text, re.M)
     places = [part.partition(": ") for pair in found for part in "".join(pair).split("; ")]
-    paths = [
-        ROOT / "dolfinx_feti" / folder / name
-        for folder, _, names in places
-        for name in names.split(", ")
-    ]
+    paths = [PACKAGE / folder / name for folder, _, names in places for name in names.split(", ")]
     assert len(paths) > 40
     assert not [path for path in paths if not (path.is_dir() or path.with_suffix(".py").exists())]
 
@@ -165,7 +155,35 @@ def test_paths_are_found():
     )
     assert list(paths(text)) == ["a/b.py", "docs/usage.md", "scripts/with-fenicsx"]
     assert list(links("[a](b/c.md#d) [e](https://f) ![g](h.png) [](#i)")) == ["b/c.md", "h.png"]
-    assert list(imported("from dolfinx_feti.x import y, z\nimport numpy")) == [
-        ("dolfinx_feti.x", "y"),
-        ("dolfinx_feti.x", "z"),
-    ]
+    names = list(imported("from dolfinx_feti.x import y, z\nimport numpy"))
+    assert names == [("dolfinx_feti.x", "y"), ("dolfinx_feti.x", "z")]
+
+
+WHOLE = (
+    '<h1 id="top">A</h1><a href="#top">x</a><a href="b.html#c">y</a><a href="https://z.org">z</a>'
+)
+
+
+@pytest.mark.parametrize(
+    ("page", "faults"),
+    [
+        (WHOLE, []),
+        ('<a href="c.html">', ["names c.html, which does not exist"]),
+        ('<img src="no.png">', ["names no.png, which does not exist"]),
+        ('<a href="b.html#d">', ["names b.html#d, whose heading does not exist"]),
+        ('<a href="#d">', ["names #d, whose heading does not exist"]),
+        (
+            '<script src="https://z.org/x.js"></script>',
+            ["loads https://z.org/x.js from the network"],
+        ),
+        ('<link href="//z.org/x.css">', ["loads //z.org/x.css from the network"]),
+    ],
+)
+def test_faults_of_a_site(tmp_path, page, faults):
+    """`make docs` looks at the whole site; what the theme keeps in ``_static`` is no page."""
+    (tmp_path / "_static").mkdir()
+    (tmp_path / "_static/x.html").write_text("<a href='{{ y }}'>")
+    (tmp_path / "b.png").write_bytes(b"")
+    (tmp_path / "a.html").write_text(page)
+    (tmp_path / "b.html").write_text('<p id="c"><img src="b.png"></p>')
+    assert list(look_at_site.broken_links(tmp_path)) == [f"a.html {fault}" for fault in faults]

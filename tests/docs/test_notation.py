@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The letters of docs/notation.md are those of the code, and the other way round."""
+"""Letters of the code and numbers of the paper's equations are those of their pages."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import paper_index
 import pytest
+import rooms
+from wall_files import ROOT
 
-ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "dolfinx_feti"
 PAGE = ROOT / "docs/notation.md"
 
@@ -38,22 +40,16 @@ def documented(page: str) -> set[str]:
     return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
 
 
-def names(path: Path) -> Iterator[str]:
-    """Yield the names of variables, arguments, attributes, functions and classes."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        match node:
-            case ast.Name(id=name) | ast.Attribute(attr=name) | ast.arg(arg=name):
-                yield name
-            case ast.FunctionDef(name=name) | ast.ClassDef(name=name):
-                yield name
+#: Where nodes of a source have a name: variables, attributes, arguments, functions, classes.
+NAMES = {ast.Name: "id", ast.Attribute: "attr", ast.arg: "arg"}
+NAMES |= dict.fromkeys((ast.FunctionDef, ast.ClassDef), "name")
 
 
-def variables(path: Path) -> Iterator[str]:
-    """Yield the names of variables and arguments."""
+def names(path: Path, *kinds: type) -> Iterator[str]:
+    """Yield the names in a file, of some kinds of nodes or of all."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        match node:
-            case ast.Name(id=name) | ast.arg(arg=name):
-                yield name
+        if type(node) in (kinds or NAMES):
+            yield getattr(node, NAMES[type(node)])
 
 
 def is_letter(name: str) -> bool:
@@ -74,7 +70,7 @@ def test_every_letter_of_the_code_is_documented(room):
     letters = {
         name.strip("_")
         for path in (PACKAGE / room).rglob("*.py")
-        for name in variables(path)
+        for name in names(path, ast.Name, ast.arg)
         if is_letter(name.strip("_"))
     }
     assert letters
@@ -100,3 +96,49 @@ def test_words_are_told_once():
 def test_letters():
     assert all(map(is_letter, "KΓρ"))
     assert not any(map(is_letter, ["k", "", "KR", "B_D"]))
+
+
+# -- equations
+
+
+def test_numbers_of_print():
+    """Counted in the paper: 58 equations, 41 with labels of their own, 9 tables, 9 figures."""
+    labels = [entry.label for entry in paper_index.EQUATIONS if entry.label]
+    assert (len(paper_index.EQUATIONS), len(labels), len(set(labels))) == (58, 41, 41)
+    assert (len(paper_index.TABLES), len(paper_index.FIGURES)) == (9, 9)
+
+
+def test_every_equation_has_a_file_or_a_reason():
+    without = {number for number, files in rooms.equations().items() if not files}
+    assert without == set(paper_index.NOWHERE)
+
+
+def test_page_has_every_equation_table_and_figure():
+    page = (ROOT / "docs/equations.md").read_text(encoding="utf-8")
+    first = re.findall(r"^\| (\d+|table \d+|figure \d+) \|", page, re.M)
+    expected = [str(n) for n in range(1, 59)]
+    assert first == expected + [f"{kind} {n}" for kind in ("table", "figure") for n in range(1, 10)]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("(eq. 44, Augustin_eq:projection has Q = I)", {44}),
+        ("eq. 16, Augustin_eq:aniso_1, eq. 17,\n    Augustin_eq:aniso_2).", {16, 17}),
+        ("(eq. 48) and eq. 56, stressmag", {48, 56}),
+        ("L2 error, eq. 53, eq:L2Error.", {53}),
+        ("a sequel. 3 equations, eq 4", set()),
+        ("eq. 45, Augustin_eq:projection", "calls eq. 45 Augustin_eq:projection"),
+        ("eq. 48, Augustin_eq:gamma", "the paper has no label"),
+        ("eq. 59", "the paper has 58 equations"),
+        ("eq. 0", "the paper has 58 equations"),
+    ],
+)
+def test_numbers_in_a_file(tmp_path, text, expected):
+    """And wrong ones, or with the label of another."""
+    (tmp_path / "a.py").write_text(f'"""{text}"""')
+    if isinstance(expected, set):
+        assert rooms.equations_in(tmp_path / "a.py") == expected
+        return
+    with pytest.raises(ValueError, match=expected):
+        rooms.equations_in(tmp_path / "a.py")

@@ -1,19 +1,20 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Programs of usage.md, elements.md and mechanics_recipes.md, beside what is known by hand."""
+"""Programs of README.md, CONTRIBUTING.md and docs/, beside what is known."""
 
 from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.optimize
-from collective import COMM, agree, small
+from collective import COMM, agree, equal, small
+from problems import Problem, owned
+from wall_files import ROOT
 
 import basix.ufl
 import dolfinx
@@ -22,14 +23,37 @@ import ufl
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 
-DOCS = Path(__file__).parents[2] / "docs"
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+RECIPES = "docs/mechanics_recipes.md"
 
 
-def programs(heading: str, page: str = "usage") -> list[str]:
-    """Return the blocks of Python below a heading."""
-    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
-    section = re.split(r"\n###? ", text.partition(f" {heading}\n")[2])[0]
-    return re.findall(r"^```python\n(.*?)^```", section, re.M | re.S)
+def programs(heading: str = "", page: str = "docs/usage.md") -> list[str]:
+    """Return the blocks of Python of a page, or below a heading."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    if heading:
+        text = re.split(r"\n###? ", text.partition(f" {heading}\n")[2])[0]
+    return re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)
+
+
+def test_readme_bends_a_cantilever():
+    """Beside a direct solution; its report names the subdomains. A visitor reads all of it."""
+    (source,) = programs(page="README.md")
+    agree(len(source.strip().splitlines()) <= 20 and len(README.split()) <= 900)
+    agree(README.index("docs/images/speed.png") < README.index("## Install"))
+    names: dict[str, Any] = {}
+    exec(source, names)
+    problem, uh = names["problem"], names["uh"]
+    agree(problem.solver.getConvergedReason() > 0)
+    agree("\nsubdomains            16\n" in str(problem.diagnose()))
+    known = Problem(names["V"], names["a"], names["L"], [names["bc"]])
+    equal(owned(uh), known.solve_directly(), 1e-6)
+
+
+def test_the_example_of_contributing_passes():
+    names: dict[str, Any] = {}
+    exec(*programs(page="CONTRIBUTING.md"), names)
+    (test,) = [value for name, value in names.items() if name.startswith("test_")]
+    test()
 
 
 def depth(x: np.ndarray) -> float:
@@ -53,7 +77,7 @@ def test_point_load():
 
 def test_condensed_linear_problem():
     """The pressure is κ div u, projected."""
-    (code,) = programs("Linear elasticity", "elements")
+    (code,) = programs("Linear elasticity", "docs/elements.md")
     mesh = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2)
     element = basix.ufl.blocked_element(quadratic_with_bubbles("tetrahedron"), shape=(3,))
     names = {
@@ -76,7 +100,7 @@ def test_condensed_linear_problem():
 def names() -> dict[str, Any]:
     """What the first program leaves."""
     found: dict[str, Any] = {}
-    exec(*programs("Active tension", "mechanics_recipes"), found)
+    exec(*programs("Active tension", RECIPES), found)
     return found
 
 
@@ -98,14 +122,14 @@ def test_active_tension(names):
 
     found = scipy.optimize.minimize(energy, [0.0, 0.0], method="Nelder-Mead", tol=1e-10)
     small(length(names["u"]) - math.exp(found.x[0]), 1e-5)
-    agree("shortens to 0.79 of its length" in (DOCS / "mechanics_recipes.md").read_text("utf-8"))
+    agree("shortens to 0.79 of its length" in (ROOT / RECIPES).read_text("utf-8"))
     small(length(names["u"]) - 0.79, 0.005)
 
 
 def test_internal_variables(names):
     """Up and down through the same load; the third solve fails, and has remembered nothing."""
     scope = dict(names)
-    (code,) = programs("Internal variables", "mechanics_recipes")
+    (code,) = programs("Internal variables", RECIPES)
     code = code.replace("unloading=True", "unloading=True, on_step=keep")
     lengths, tried = {}, []
 
@@ -137,7 +161,7 @@ def failing_once(problem: Any, tried: list[np.ndarray]) -> None:
 def test_inertia(names):
     """The energy of the impact, ½ ρ ∫ |v|² = ½ ρ (100 mm/s)² (1 + ¼ + ¼)/3 mm³, stays."""
     for heading in ("Internal variables", "Inertia"):
-        exec(*programs(heading, "mechanics_recipes"), names)
+        exec(*programs(heading, RECIPES), names)
     elastic = dolfinx.fem.assemble_scalar(dolfinx.fem.form(names["elastic"]))
     kinetic, given = names["swing"][-1].kinetic, 0.5e-6 * 100.0**2 * 0.5
     agree(len(names["swing"]) == 40 and min(elastic, kinetic) > 0.0, (elastic, kinetic))

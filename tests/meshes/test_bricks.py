@@ -1,13 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Meshes made in memory: the tube of bricks, straight and curved; the unit cube in subcubes."""
+"""Tubes from a file and of bricks, straight and curved; the unit cube in subcubes."""
 
 from __future__ import annotations
+
+import itertools
 
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small, whole
+from wall_files import tube
 
 import dolfinx
 import ufl
@@ -28,19 +31,23 @@ def integrals(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags, kind: str) -
 
 
 @pytest.mark.parametrize("quarter", [False, True])
-@pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("tetrahedra", [False, True])
-def test_brick_tube(tetrahedra, order, quarter):
+@pytest.mark.parametrize(
+    ("kind", "order"), [("file", 1), *itertools.product(("hexahedra", "tetrahedra"), (1, 2))]
+)
+def test_tube(tmp_path, kind, order, quarter):
     """Polygons of order 1 are those of the chords; parabolas miss a circle by (angle)⁴/480."""
-    n, L = (4, 1.0) if quarter else (16, 1.0)
-    wall = create_brick_tube(
-        COMM, length=L, size=0.1, quarter=quarter, around=n, order=order, tetrahedra=tetrahedra
-    )
-    mesh, angle = wall.mesh, 2 * np.pi / 16
-    r = np.array([0.71, 0.97, 1.10])
+    n, L, angle = 4 if quarter else 16, 1.0, 2 * np.pi / 16
+    if kind == "file":
+        counts = {"around": n, "through": (1, 1), "along": 10}
+        wall = tube(tmp_path, length=L, quarter=quarter, **counts)
+    else:
+        shape = {"order": order, "tetrahedra": kind == "tetrahedra"}
+        wall = create_brick_tube(COMM, length=L, size=0.1, quarter=quarter, around=n, **shape)
+    mesh, r = wall.mesh, np.array([0.71, 0.97, 1.10])
     segments = n * r**2 * (np.sin(angle) if order == 1 else angle) / 2
-    tolerance = 1e-12 if order == 1 else angle**4 / 100
-    agree(mesh.topology.index_map(3).size_global == 4 * n * 10 * (6 if tetrahedra else 1))
+    tolerance = angle**4 / 100 if order == 2 else 1e-9 if kind == "file" else 1e-12
+    bricks = n * 10 * (2 if kind == "file" else 4)
+    agree(mesh.topology.index_map(3).size_global == bricks * (1 if kind == "hexahedra" else 6))
     volume = integrals(mesh, wall.cell_tags, "dx")
     volumes = [volume[wall.layers[name]] for name in ("media", "adventitia")]
     equal(volumes, L * np.diff(segments), tolerance)

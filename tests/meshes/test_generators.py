@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The tube, all of whose numbers are known; files and command lines; what generators refuse."""
+"""Files and command lines of tubes; what generators refuse."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import sys
 
 import numpy as np
 import pytest
-from collective import agree, equal, raises
-from mesh_files import areas, volumes, watertight
-from wall_files import ROOT, on_first
+from collective import agree, raises
+from mesh_files import watertight
+from wall_files import ROOT
 
 from dolfinx_feti.wall.wallfile import read_raw_wall
 from meshes import tube, vessel, wall_mesh
@@ -21,75 +21,45 @@ from meshes.wall_mesh import TAGS
 pytestmark = pytest.mark.serial
 
 
-@pytest.mark.parametrize("quarter", [False, True])
-def test_tube(tmp_path, quarter):
-    """All numbers of a polygonal tube are known."""
-    n, L = (4, 2.0) if quarter else (16, 2.0)
+def test_tube(tmp_path):
+    """No leak; a quarter ends exactly in its planes. ``test_bricks`` has volumes and areas."""
     path = tmp_path / "t.msh"
-
-    def make():
-        return tube.create_tube(
-            path, length=L, quarter=quarter, through=(2, 1), around=n, along=7
-        ), read_raw_wall(path)
-
-    quality, wall = on_first(make)
-    agree(quality.cells == 3 * 2 * 3 * n * 7 and quality.minimum > 0.3, quality)
+    quality = tube.create_tube(path, length=2.0, quarter=True, through=(2, 1), around=4, along=7)
+    wall = read_raw_wall(path)
+    agree(quality.cells == 3 * 2 * 3 * 4 * 7 and quality.minimum > 0.3, quality)
     watertight(wall)
-    corner = 2 * np.pi / 16
-    r = np.array([0.71, 0.97, 1.10])
-    segments = n * np.sin(corner) / 2 * r**2  # of the polygons, per radius
-    equal(list(volumes(wall).values()), L * np.diff(segments), 1e-9)
-    area = areas(wall)
-    sides = n * 2 * r * np.sin(corner / 2) * L
-    equal([area["lumen"], area["outer"]], sides[[0, 2]], 1e-9)
-    equal([area["opening_1"], area["opening_2"]], [segments[2] - segments[0]] * 2, 1e-9)
-    agree(("symmetry_x" in area) == ("symmetry_y" in area) == quarter)
-    if quarter:
-        equal([area["symmetry_x"], area["symmetry_y"]], [L * (r[2] - r[0])] * 2, 1e-9)
-        for axis, name in enumerate(("symmetry_x", "symmetry_y")):
-            corners = wall.facets[wall.surfaces == TAGS[name]]
-            agree(np.all(wall.points[corners][..., axis] == 0))
+    for axis, name in enumerate(("symmetry_x", "symmetry_y")):
+        corners = wall.facets[wall.surfaces == TAGS[name]]
+        agree(len(corners) > 0 and np.all(wall.points[corners][..., axis] == 0))
 
 
 def test_finer_tubes_have_more_cells(tmp_path):
-    made = [
-        on_first(lambda s=s: tube.create_tube(tmp_path / "t.msh", size=s).cells)
-        for s in (0.4, 0.26, 0.13)
-    ]
+    made = [tube.create_tube(tmp_path / "t.msh", size=s).cells for s in (0.4, 0.26, 0.13)]
     agree(made[0] < made[1] < made[2] and 15_000 < made[2] < 25_000, made)
 
 
 def test_files_are_whole_or_not_there(tmp_path, monkeypatch):
     path = tmp_path / "t.msh"
-    on_first(lambda: path.write_text("mine"))
+    path.write_text("mine")
 
     def full(*args, **kwargs):
         raise OSError("no space left on device")
 
     monkeypatch.setattr(wall_mesh.np, "savetxt", full)
     with raises(OSError, "no space"):
-        on_first(lambda: tube.create_tube(path, size=0.4))
+        tube.create_tube(path, size=0.4)
     agree(path.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == ["t.msh"])
 
 
-def test_example_is_what_the_generator_makes(tmp_path):
+def test_command_line_makes_the_example(tmp_path, monkeypatch):
     """README.md names the command for meshes/example.msh."""
     readme = (ROOT / "meshes/README.md").read_text(encoding="utf-8")
     command = re.search(r"python3 -m meshes\.tube meshes/example\.msh (.*)`", readme)
-    words = command[1].split()
-    options = {k.removeprefix("--"): float(v) for k, v in zip(words[::2], words[1::2], strict=True)}
-    on_first(lambda: tube.create_tube(tmp_path / "t.msh", **options))
-    example = ROOT / "meshes/example.msh"
-    agree((tmp_path / "t.msh").read_bytes() == example.read_bytes())
-    agree(example.stat().st_size < 100_000)
-
-
-def test_command_line_of_the_tube(tmp_path, monkeypatch):
-    """That of the vessel is in ``test_vessel_mesh``."""
-    words = ["--size", "0.4", "--quarter", "--through", "1", "1"]
-    monkeypatch.setattr(sys, "argv", ["prog", str(tmp_path / "new" / "w.msh"), *words])
-    on_first(tube.main)
-    agree((tmp_path / "new" / "w.msh").read_text().startswith("$MeshFormat\n2.2 "))
+    monkeypatch.setattr(sys, "argv", ["prog", str(tmp_path / "new/t.msh"), *command[1].split()])
+    tube.main()
+    made, example = (tmp_path / "new/t.msh").read_bytes(), ROOT / "meshes/example.msh"
+    agree(made == example.read_bytes() and made.startswith(b"$MeshFormat\n2.2 "))
+    agree(len(made) < 100_000)
 
 
 @pytest.mark.parametrize(
@@ -126,18 +96,14 @@ def test_wrong_words(tmp_path, monkeypatch, capsys, module, words, said):
         (vessel.create_vessel, {"layers": {"wall": 0.0}}, "the share 0.0 of 'wall'"),
         (vessel.create_vessel, {"layers": {"lumen": 1.0}}, "'lumen' is the name of a surface"),
         (vessel.create_vessel, {"layers": {}}, "layers is empty: name a layer"),
-        (
-            vessel.create_vessel,
-            {"layers": {"wall": 1.0}, "through": (1, 1)},
-            r"through=\(1, 1\): each of the 1 layers",
-        ),
+        (vessel.create_vessel, {"layers": {"wall": 1.0}, "through": (1, 1)}, "of the 1 layers"),
         (vessel.create_vessel, {"through": (0, 1)}, r"through=\(0, 1\)"),
     ],
 )
 def test_wrong_values(tmp_path, create, options, message):
     """A file that is there stays as it is."""
     path = tmp_path / "v.msh"
-    on_first(lambda: path.write_text("mine"))
+    path.write_text("mine")
     with raises(ValueError, message):
-        on_first(lambda: create(path, **options))
+        create(path, **options)
     agree(path.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == ["v.msh"])
