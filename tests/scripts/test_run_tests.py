@@ -1,11 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""`scripts/run_tests.py` on small suites of its own, with the real mpirun and pytest."""
+"""`scripts/run_tests.py` on small suites of its own, and what the Makefile's targets run."""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -13,10 +14,10 @@ import time
 from pathlib import Path
 
 import pytest
+from wall_files import ROOT
 
 pytestmark = pytest.mark.serial
 
-SCRIPT = Path(__file__).resolve().parents[2] / "scripts/run_tests.py"
 HEAD = """
 import os, time
 from mpi4py import MPI
@@ -29,7 +30,7 @@ def run(folder: Path, suite: str, np: int = 2, **variables: str) -> subprocess.C
     """Run a suite in a checkout of its own; nothing of the MPI around this test may reach it."""
     (folder / "scripts").mkdir()
     (folder / "tests").mkdir()
-    script = shutil.copy(SCRIPT, folder / "scripts")
+    script = shutil.copy(ROOT / "scripts/run_tests.py", folder / "scripts")
     (folder / "tests/test_suite.py").write_text(HEAD + suite)
     around = ("OMPI_M", "OMPI_C", "PMI", "PRTE_", "PYTEST", "MPI")
     own = {key: value for key, value in os.environ.items() if not key.startswith(around)}
@@ -105,9 +106,8 @@ def test_suite(tmp_path, name):
 
 
 def test_all_numbers_of_processes_are_tried_after_a_failure(tmp_path):
-    result = run(
-        tmp_path, "def test_one(): assert comm.size == 2", DOLFINX_FETI_TEST_PROCESSES="1 2"
-    )
+    suite = "def test_one(): assert comm.size == 2"
+    result = run(tmp_path, suite, DOLFINX_FETI_TEST_PROCESSES="1 2")
     assert result.returncode == 1
     table = [line.split()[:4] for line in result.stdout.splitlines()[-2:]]
     assert table == [["1", "FAILED", "0", "1"], ["2", "ok", "1", "0"]]
@@ -126,3 +126,57 @@ def test_kernels_of_a_killed_run_are_compiled_again(tmp_path):
     assert run(tmp_path, suite, np=1, XDG_CACHE_HOME=str(tmp_path)).returncode == 0
     left = sorted(path.name for path in cache.glob("*.c"))
     assert left == ["libffcx_begun.c", "libffcx_ready.c"]
+
+
+# -- the Makefile, on a machine with some number of cores
+
+#: Like the real one, it takes what OpenMP's variables say for the number of cores.
+NPROC = """#!/bin/sh
+n={cores}
+[ -z "$OMP_NUM_THREADS" ] || n=$OMP_NUM_THREADS
+[ -z "$OMP_THREAD_LIMIT" ] || [ "$n" -le "$OMP_THREAD_LIMIT" ] || n=$OMP_THREAD_LIMIT
+echo "$n"
+"""
+
+
+def commands(folder: Path, target: str, cores: int, **variables: str) -> str:
+    """Return what ``make -n`` says about a target."""
+    nproc = folder / "nproc"
+    nproc.write_text(NPROC.format(cores=cores))
+    nproc.chmod(0o755)
+    environment = {"PATH": f"{folder}:{os.environ['PATH']}", **variables}
+    command = ["make", "-n", "-C", str(ROOT), target]
+    return subprocess.check_output(command, env=environment, text=True)
+
+
+@pytest.mark.parametrize(
+    "variables", [{}, {"OMP_NUM_THREADS": "1"}, {"OMP_THREAD_LIMIT": "1"}], ids=str
+)
+def test_demo_takes_all_cores(tmp_path, variables):
+    """However many threads OpenMP may start: each process is to have one of them."""
+    two = "OMP_NUM_THREADS=1 mpirun -n 2 python3 demos/"
+    assert two in commands(tmp_path, "demo", 2, **variables)
+    assert "mpirun" not in commands(tmp_path, "demo", 1, **variables)
+
+
+def test_hooks_before_a_commit_are_the_tools_of_make_lint(tmp_path):
+    """The same commands in the same order, and the same shell scripts."""
+    linted = re.findall(r"^scripts/with-fenicsx .*$", commands(tmp_path, "lint", 2), re.M)
+    config = (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8")
+    hooks = re.findall(r"^ +entry: (.*)$", config, re.M)
+    assert [" ".join(line.split()[: len(hook.split())]) for line, hook in
+            zip(linted, hooks, strict=True)] == hooks  # fmt: skip
+    *_, scripts = re.findall(r"^ +files: (.*)$", config, re.M)
+    named = linted[-1].split()[2:]
+    assert len(named) >= 3
+    assert all(re.search(scripts, name) for name in named)
+    every = [path.relative_to(ROOT) for path in [*ROOT.glob("scripts/*"), ROOT / ".ci/run"]]
+    assert {str(path) for path in every if re.search(scripts, str(path))} == set(named)
+
+
+def test_identities_exist(tmp_path):
+    """What ``make check`` names is there, on both numbers of processes."""
+    said = commands(tmp_path, "check", 2)
+    runs = re.findall(r"PROCESSES=. python3 scripts/run_tests.py (.*)$", said, re.M)
+    assert len(runs) == 2
+    assert all((ROOT / name).exists() for run in runs for name in run.split())
