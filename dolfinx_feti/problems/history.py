@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,12 +14,6 @@ from petsc4py import PETSc
 
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.runtime.compat import residual_is_nan
-
-#: So many steps, each of which leaves more than this share of the residual, are slow.
-SLOW_STEPS, SLOW = 3, 0.03
-
-#: So many steps, each shorter than this, crawl.
-CRAWLING_STEPS, CRAWLING = 2, 0.1
 
 Reason = PETSc.SNES.ConvergedReason
 DOMAIN, SEARCH = Reason.DIVERGED_FUNCTION_DOMAIN, Reason.DIVERGED_LINE_SEARCH
@@ -129,23 +122,3 @@ class NewtonStep:
 def proved_negative(feti: FETI) -> int | None:
     """Return the negative eigenvalues that the assembled matrix has at least; None if not known."""
     return None if feti.inertia is None else feti.inertia.assembled
-
-
-def share_left(history: Sequence[NewtonStep], norm: float) -> float:
-    """Return the share of the residual, now ‖r‖, that a whole last step has left; else infinity."""
-    last = history[-1] if history else None
-    whole = last is not None and last.step_length == 1.0 and last.shift == 0.0 < last.residual
-    return norm / last.residual if last is not None and whole else math.inf
-
-
-def crawls(history: Sequence[NewtonStep]) -> bool:
-    """Tell whether the last steps were all short."""
-    last = history[-CRAWLING_STEPS:]
-    return len(last) == CRAWLING_STEPS and all(step.step_length < CRAWLING for step in last)
-
-
-def is_slow(history: Sequence[NewtonStep], norm: float) -> bool:
-    """Tell whether each of the last steps has left much of the residual, now ‖r‖."""
-    last = history[-SLOW_STEPS:]
-    pairs = itertools.pairwise([*(step.residual for step in last), norm])
-    return len(last) == SLOW_STEPS and all(SLOW * before < r < before for before, r in pairs)

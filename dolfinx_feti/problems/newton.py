@@ -3,16 +3,20 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Newton's method as a PETSc SNES, every step solved by FETI (docs/theory.md).
 
-.. math:: K'(U^k)\, ΔU = \mathcal F - K(U^k), \qquad U^{k+1} = U^k + α\, ΔU
+.. math:: (K'(U^k) + σ \operatorname{diag}|k|)\, ΔU = \mathcal F - K(U^k), \qquad
+          U^{k+1} = U^k + α\, ΔU
 
-(eq. 22, Augustin_eq:NewtonRecursion, and eq. 23, Augustin_eq:NewtonRecursion_h), with ΔU of
-``direction`` and α of ``line_search``, until ‖r‖ of the free dofs is small beside
-:math:`\max(\min(‖r^0‖, \text{reference}), ‖R‖/10)` with the reactions R, or is rounding.
+(eq. 22, Augustin_eq:NewtonRecursion, and eq. 23, Augustin_eq:NewtonRecursion_h), with α of
+``line_search``, until ‖r‖ of the free dofs is small beside
+:math:`\max(\min(‖r^0‖, \text{reference}), ‖R‖/10)` with the reactions R, or is rounding. With a
+potential the shift σ grows until no negative eigenvalue can be proved and ΔU leads downhill,
+ΔU·r < 0. A singular tangent counts as indefinite.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from petsc4py import PETSc
@@ -20,27 +24,18 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.diagnosis.advice import Advice
-from dolfinx_feti.feti.solver import DOUBTFUL
+from dolfinx_feti.feti.solver import DOUBTFUL, FETI
 from dolfinx_feti.problems.derivative import difference_from_derivative
-from dolfinx_feti.problems.direction import Directions
-from dolfinx_feti.problems.history import (
-    CLOSER,
-    CRAWLING,
-    FAILURES,
-    NewtonStep,
-    Stop,
-    crawls,
-    is_slow,
-    share_left,
-)
+from dolfinx_feti.problems.history import CLOSER, FAILURES, NewtonStep, Stop, proved_negative
 from dolfinx_feti.problems.line_search import line_search
 from dolfinx_feti.problems.solvers import RTOL, no_closer_than
 from dolfinx_feti.problems.system import Residual, System, Tangent
+from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.petsc_errors import python_errors
 
-Reason = PETSc.SNES.ConvergedReason
+Reason, Linear = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
 
 #: Share of the residual that Newton's method aims at which a linear solve may leave.
 LEFT = 0.1
@@ -53,6 +48,21 @@ MEMORY = 8
 
 #: What of its first residual a rough solve leaves.
 ROUGH = 0.1
+
+#: So many plain steps with an indefinite tangent may follow those that have moved the boundary.
+PATIENCE = 3
+
+#: Share of the residual down to which a linear solve that stagnates there leads on.
+CLOSE = 1e-3
+
+#: The shifts that are tried: none, and others that grow.
+SHIFTS = (0.0, *(1e-4 * 4.0**k for k in range(8)))
+
+#: So many steps, each of which leaves more than this share of the residual, are slow.
+SLOW_STEPS, SLOW = 3, 0.03
+
+#: So many steps, each shorter than this, crawl.
+CRAWLING_STEPS, CRAWLING = 2, 0.1
 
 #: How a solve ends that does not get closer, perhaps for a tangent that is not the derivative.
 NOT_CLOSER = (Reason.DIVERGED_MAX_IT, Reason.DIVERGED_LINE_SEARCH)
@@ -76,8 +86,19 @@ class Start:
     early: bool = False  # give up early: the caller has another start, or a shorter way
 
 
+@dataclass(frozen=True, slots=True)
+class Direction:
+    """Where a Newton step leads, and what that has cost (:class:`NewtonStep`)."""
+
+    du: Array  # ΔU, (owned,)
+    shift: float
+    iterations: list[int]  # of each linear solve
+    indefinite: int | None
+    plain: bool  # may it lead anywhere, and not only down the potential?
+
+
 class Newton:
-    """Context of a SNES that drives a ``System`` with a FETI KSP.
+    """Context of a SNES that drives a ``System``, whose state is the user's, with a FETI KSP.
 
     Attributes:
         start: What the next solve begins with: PETSc hands nothing on.
@@ -89,21 +110,19 @@ class Newton:
     """
 
     def __init__(self, system: System) -> None:
-        """Take the system; the state stays in the user's functions."""
         self._system, self.start = system, Start()
         self.history: list[NewtonStep] = []
         self.message, self.at_end = "", False
-        self.residual, self._du = np.zeros(system.owned), np.zeros(system.owned)
+        self.residual = self._du = np.zeros(system.owned)
         self.mismatch: Advice | None = None
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
-        system, start, self.start = self._system, self.start, Start()
-        self._early, self._heights = start.early, [np.nan]  # Π of the last states
+        system, self._start, self.start = self._system, self.start, Start()
         self.history, self.message = [], ""
         self._compared = self.mismatch is not None
         try:
-            reason = self._iterate(snes, start)
+            reason = self._iterate(snes, self._start)
         except Stop as stop:
             failure, *detail = stop.args
             reason, text = FAILURES[failure]
@@ -126,13 +145,9 @@ class Newton:
         if system.least_volume_ratio() <= 0.0:
             raise Stop("inverted")
         load, moved = float(np.fmin(first, start.reference)), system.boundary_moves(here)
-        self._directions = Directions(
-            system,
-            moved=moved,
-            refuse=start.early and start.tangent is None and first > start.reference,
-            guess=bool(np.isfinite(start.reference)),
-            shortens=start.early,
-        )
+        self._heights, self._level = [np.nan], 0  # Π of the last states, and of SHIFTS
+        self._patience = PATIENCE if moved else 0
+        self._refuse = start.early and start.tangent is None and first > start.reference
         at_most = LEAST_REACTION * (1.0 if moved or rtol <= RTOL else RTOL / rtol)
         while True:
             moves = system.boundary_moves(here)
@@ -141,9 +156,10 @@ class Newton:
             reason = self._judge(snes, norm, scale, rough, moves=moves)
             if reason != Reason.ITERATING:
                 return reason
-            aim, share = max(rtol * scale, atol), share_left(self.history, norm)
-            fresh = bool(self.history) and self.history[-1].tangent_lag == 0
-            kept = not moves and fresh and norm * share <= aim  # leads to the end, if as good again
+            aim = max(rtol * scale, atol)
+            kept = (
+                not moves and norm * self._share_left(norm) <= aim
+            )  # at the end, if as good again
             if not kept and (self.history or start.tangent is None):
                 with event("FETITangent"):
                     system.linearise(here)
@@ -154,14 +170,28 @@ class Newton:
                 if self.history and force > DOUBTFUL * known:
                     warn(_DOUBTFUL.format(force, known), system.comm)
                 return Reason.CONVERGED_FNORM_ABS
-            if not kept and not self._compared and is_slow(self.history, norm):
+            if not kept and not self._compared and self._is_slow(norm):
                 self._compare(here)
             with no_closer_than(LEFT * aim, snes.getKSP()):
                 here = self._step(snes.getKSP(), here, norm, floor, kept=kept, moves=moves)
             self.residual = here.equations
             norm = system.norm(here.condensed)
-            if start.early and crawls(self.history):
+            lengths = [step.step_length for step in self.history[-CRAWLING_STEPS:]]
+            if start.early and len(lengths) == CRAWLING_STEPS and max(lengths) < CRAWLING:
                 raise Stop("crawls", CRAWLING)
+
+    def _share_left(self, norm: float) -> float:
+        """Return the share of ‖r‖ that a whole step with a tangent of its own left; or infinity."""
+        last = self.history[-1] if self.history else None
+        if last is None or last.step_length != 1.0 or last.shift or last.tangent_lag:
+            return np.inf
+        return norm / last.residual if last.residual > 0.0 else np.inf
+
+    def _is_slow(self, norm: float) -> bool:
+        """Tell whether each of the last steps has left much of the residual, now ‖r‖."""
+        norms = np.array([*(step.residual for step in self.history[-SLOW_STEPS:]), norm])
+        before, after = norms[:-1], norms[1:]
+        return len(after) == SLOW_STEPS and bool(np.all((SLOW * before < after) & (after < before)))
 
     def _judge(
         self, snes: PETSc.SNES, norm: float, scale: float, rough: float, *, moves: bool
@@ -199,20 +229,19 @@ class Newton:
         """
         system = self._system
         seen = system.seen_by_tangent(here) if kept else here
-        directions = self._directions.along(ksp, seen, moves=moves)
+        directions = self._directions(ksp, seen, moves=moves)
         while True:
             assembled = time.perf_counter()
             found = next(directions)
             solved = time.perf_counter()
-            height = self._heights[-1]
             end = line_search(
                 system,
                 seen,
                 found.du,
                 shifted=found.shift > 0.0,
-                potential=height if system.has_potential and not found.plain else None,
+                potential=None if found.plain or not system.has_potential else self._heights[-1],
                 highest=float(np.fmax.reduce(self._heights)),
-                early=self._early,
+                early=self._start.early,
             )
             self._heights = [*self._heights[1 - MEMORY :], end.potential]
             step = NewtonStep.after(
@@ -231,6 +260,60 @@ class Newton:
             self._du, self._started = found.du, solved
             if end.alpha > 0.0 or norm <= floor or kept:
                 return end.residual if end.alpha > 0.0 else here
+
+    def _directions(self, ksp: PETSc.KSP, here: Residual, *, moves: bool) -> Iterator[Direction]:
+        """Yield one direction after the other, until one of them leads on.
+
+        With a potential the plain one comes last, but while prescribed displacements move and for a
+        few steps after that. Without one a shift is what is left where the plain solve fails. No
+        scalars are refused an indefinite tangent, which lead on where K does not.
+
+        Raises:
+            Stop: There is no other.
+        """
+        system, feti, first = self._system, ksp.getPythonContext(), not self.history
+        refuse = self._refuse and first and not system.scalars.size
+        down, indefinite, iterations, leads = system.has_potential, None, [], False
+        tries = [(level, False) for level in range(self._level if down else 1, len(SHIFTS))]
+        if moves or (not down and self._start.early):
+            tries = []
+        plain_first = not down or moves or self._patience > 0
+        tries.insert(0 if plain_first else len(tries), (0, True))
+        for level, plain in tries:
+            system.shift(SHIFTS[level])
+            feti.refuse_indefinite = not plain or refuse
+            du = system.scalars.solve(ksp, system.A, here.equations, here.scalar)
+            reason = ksp.getConvergedReason()
+            failed = reason == Linear.DIVERGED_PCSETUP_FAILED
+            if level == 0:
+                indefinite = proved_negative(feti)
+                system.is_held |= not failed
+            if reason != Linear.DIVERGED_INDEFINITE_MAT:
+                iterations.append(feti.iterations)
+            elif refuse:
+                raise Stop("poor guess")
+            close = reason == Linear.DIVERGED_BREAKDOWN and feti.residual <= CLOSE
+            leads = (reason > 0 or close) and (plain or system.dot(du, here.condensed) < 0.0)
+            if leads:
+                self._level = max(0, level - (1 if level > self._level else 2))
+                self._patience -= plain and not moves and indefinite != 0
+                yield Direction(du, SHIFTS[level], iterations, indefinite, plain)
+                iterations = []
+            elif failed and (first or not feti.singular):
+                break
+        self._level = 0
+        raise Stop("no step") if leads else self._linear_failure(feti)
+
+    def _linear_failure(self, feti: FETI) -> Stop:
+        """Say why there is no direction: on the way a singular tangent lacks no support."""
+        on_the_way = self._system.is_held or np.isfinite(self._start.reference)
+        if not feti.message:
+            return Stop("indefinite")
+        if feti.singular and on_the_way:
+            return Stop("singular")
+        if on_the_way and (proved_negative(feti) or 0) > 0:
+            return Stop("trial", feti.message.rstrip("."))
+        return Stop("linear", feti.message)
 
     def _compare(self, here: Residual) -> None:
         """Compare the tangent with the derivative along the last ΔU, once in a solve, and tell."""

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TypedDict
+from typing import TypedDict, Unpack
 
 from petsc4py import PETSc
 
@@ -86,41 +86,33 @@ class TornProblem:
         volume_ratio: Expr | None = None,
         quadrature_degree: int = 0,
         /,
-        *,
-        subdomains: int | Integers | None = None,
-        seed: int = 0,
-        petsc_options_prefix: str | None = None,
-        near_null_space: PETSc.NullSpace | None = None,
-        null_space: PETSc.NullSpace | None = None,
-        P: ufl.Form | None = None,
-        kind: str | None = None,
-        entity_maps: Sequence[object] | None = None,
-        **unknown: object,
+        **common: Unpack[Common],
     ) -> None:
         """Tear the mesh and compile the forms, which are checked; see :class:`Common`."""
-        for other in unknown:
+        for other in sorted(common.keys() - Common.__annotations__.keys()):
             problem = type(self).__name__
             raise TypeError(f"{problem}() got an unexpected keyword argument '{other}'")
         V = forms.u.function_space
         comm = V.mesh.comm
-        if entity_maps:
+        if common.get("entity_maps"):
             raise ValueError(
                 "entity_maps relates several meshes, but only forms on one mesh can be torn: put "
                 "coefficients on the mesh of the unknown."
             )
-        unused = [name for name, value in (("P", P), ("kind", kind)) if value is not None]
+        unused = " and ".join(name for name in ("P", "kind") if common.get(name) is not None)
         if unused:
             warn(
-                f"Without effect: {' and '.join(unused)}. FETI has a preconditioner and a matrix "
-                "(MATIS) of its own; leave it out.",
+                f"Without effect: {unused}. FETI has a preconditioner and a matrix (MATIS) of its "
+                "own; leave it out.",
                 comm,
             )
-        self._prefix = agreed_prefix(petsc_options_prefix, name, comm)
+        self._prefix = agreed_prefix(common.get("petsc_options_prefix"), name, comm)
         self._petsc_options = dict(petsc_options or {})
         self._forms, self._compiler = forms, Compiler(comm, *compilers)
+        subdomains = common.get("subdomains")
         if subdomains is None:  # a null space is one of several subdomains together
             subdomains = suggested_number(V, 1 if bcs else 2)
-        self.decomposition = decompose(V.mesh, subdomains, seed=seed)
+        self.decomposition = decompose(V.mesh, subdomains, seed=common.get("seed", 0))
         self._system = System(
             forms,
             bcs=bcs,
@@ -131,10 +123,10 @@ class TornProblem:
             scalars=scalars,
         )
         self.A = self._system.A
-        if near_null_space is not None:
-            self.A.setNearNullSpace(near_null_space)
-        if null_space is not None:
-            self.A.setNullSpace(null_space)
+        if (near_kernel := common.get("near_null_space")) is not None:
+            self.A.setNearNullSpace(near_kernel)
+        if (kernel := common.get("null_space")) is not None:
+            self.A.setNullSpace(kernel)
         self.x, self.b = self.A.createVecs()
         for suffix, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
             owned.setOptionsPrefix(f"{self._prefix}{suffix}_")

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The line search along one unknown, and the shifts."""
+"""The line search along one unknown."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dolfinx_feti.problems.direction import LARGEST_SHIFT, LEAST_SHIFT, SHIFT_GROWTH, fallen, raised
 from dolfinx_feti.problems.line_search import LONGEST, line_search
 from dolfinx_feti.problems.system import Residual
 
@@ -117,21 +116,3 @@ def test_a_step_ends_close_to_a_kink(kink, jump, energy):
     potential = lambda u: -u if u < kink else jump * (u - kink) - kink  # noqa: E731
     system = OneUnknown(lambda u: -1.0 if u < kink else jump, potential if energy else None)
     assert kink / 1.3 <= search(system) <= kink and len(system.visited) < 40
-
-
-def test_the_shift_grows_from_nothing_to_the_largest():
-    sigma, seen = raised(0.0), []
-    while sigma is not None:
-        seen.append(sigma)
-        sigma = raised(sigma)
-    assert seen == [LEAST_SHIFT * SHIFT_GROWTH**k for k in range(8)] and seen[-1] == LARGEST_SHIFT
-
-
-@pytest.mark.parametrize(("grown", "steps"), [(True, 9), (False, 5)])
-def test_the_shift_falls_to_nothing(grown, steps):
-    sigma, seen = LARGEST_SHIFT, []
-    while sigma > 0.0:
-        sigma = fallen(sigma, grown=grown)
-        seen.append(sigma)
-    assert len(seen) == steps and all(s >= LEAST_SHIFT / SHIFT_GROWTH for s in seen[:-1])
-    assert fallen(0.0, grown=grown) == 0.0

@@ -21,7 +21,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, loads
-from dolfinx_feti.problems import newton
+from dolfinx_feti.problems.newton import Newton
 
 Reason = PETSc.SNES.ConvergedReason
 
@@ -66,8 +66,8 @@ def test_linear_solves_are_as_accurate_as_the_step_deserves():
 def test_a_tangent_is_kept_where_it_leads_to_the_end(kappa, monkeypatch):
     """To the same solution in fewer tangents; a condensed pressure does not spoil it."""
     found = []
-    for share_left in (newton.share_left, lambda *_: np.inf):
-        monkeypatch.setattr(newton, "share_left", share_left)
+    for share_left in (Newton._share_left, lambda *_: np.inf):
+        monkeypatch.setattr(Newton, "_share_left", share_left)
         body = wall(tube(), kappa=kappa, degree=2)
         problem = body.problem(4)
         body.load.value = loads.mmhg(20.0)
