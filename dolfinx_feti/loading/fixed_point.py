@@ -9,8 +9,8 @@ from typing import Any
 
 import dolfinx
 
-from dolfinx_feti.problems.anderson import Anderson
 from dolfinx_feti.problems.history import NewtonStep
+from dolfinx_feti.problems.multipliers import Anderson
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.problems.system import Tangent
 

@@ -4,6 +4,5 @@
 """Linear and nonlinear problems with dolfinx's signatures; Newton's method.
 
 In the order of the data: arguments, history, solvers, forms, system, torn_problem,
-linear_problem, line_search, derivative, newton, anderson, multipliers,
-nonlinear_problem.
+linear_problem, line_search, derivative, newton, multipliers, nonlinear_problem.
 """

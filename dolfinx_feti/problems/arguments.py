@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from mpi4py import MPI
 
@@ -43,12 +43,12 @@ def agreed_prefix(prefix: str | None, kind: str, comm: MPI.Comm) -> str:
     Raises:
         ValueError: The prefix is no string or empty, or not the same on all processes.
     """
-    given = comm.allgather(prefix)
-    for rank, other in enumerate(given):
-        if other != given[0]:
+    first, *others = comm.allgather(prefix)
+    for rank, other in enumerate(others, start=1):
+        if other != first:
             raise ValueError(
-                f"petsc_options_prefix is {given[0]!r} on process 0 and {other!r} on process "
-                f"{rank}: give the same one on all."
+                f"petsc_options_prefix is {first!r} on process 0 and {other!r} on process {rank}: "
+                "give the same one on all."
             )
     if prefix is not None:
         return require_prefix(prefix)
@@ -128,28 +128,25 @@ def _refuse_blocks(name: str, given: object) -> None:
             f"{name} is a block of {len(given)} with scalars on real spaces: give them by "
             "scalars=, or all by residuals, NonlinearProblem([F_u, F_s], [u, s])."
         )
-    spaces = [next(_spaces(part), None) for part in given]
-    parts = [space.ufl_element() for space in spaces if space is not None]
+    parts = [element for element in map(_element, given) if element is not None]
     raise ValueError(f"{name} is a block of {len(given)}{_instead(parts)}")
 
 
-def _spaces(part: object) -> Iterator[dolfinx.fem.FunctionSpace]:
-    """Yield the spaces of functions, and of the test functions of forms, in a row of blocks."""
-    if isinstance(part, dolfinx.fem.Function):
-        yield part.function_space
-    elif isinstance(part, ufl.Form):
-        yield from (argument.ufl_function_space() for argument in part.arguments()[:1])
-    elif isinstance(part, Sequence) and not isinstance(part, str):
-        for entry in part:
-            yield from _spaces(entry)
+def _element(part: object) -> AbstractFiniteElement | None:
+    """Return the element of a function, or of the test function of a form or a row of blocks."""
+    while isinstance(part, list | tuple):
+        part = next((entry for entry in part if entry is not None), None)
+    if isinstance(part, ufl.Form):
+        part = next(iter(part.arguments()), None)
+    return part.ufl_element() if isinstance(part, ufl.Argument | ufl.Coefficient) else None
 
 
 def _instead(parts: Sequence[AbstractFiniteElement]) -> str:
     """Say what to do in place of a problem in several fields."""
     ranks = sorted(len(part.reference_value_shape) for part in parts)
-    fluxes = (basix.SobolevSpace.HDiv, basix.SobolevSpace.HCurl)
     kind = "pressure" if ranks == [0, 1] else "other"
-    if any(part.basix_sobolev_space in fluxes for part in parts):
+    fluxes = {basix.SobolevSpace.HDiv, basix.SobolevSpace.HCurl}
+    if fluxes.intersection(part.basix_sobolev_space for part in parts):
         kind = "flux"
     return f", but only a problem on one continuous space is torn. {INSTEAD[kind]}"
 

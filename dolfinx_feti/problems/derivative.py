@@ -51,11 +51,8 @@ def difference_from_derivative(system: System, here: Residual, d: Array) -> Advi
     """Compare the tangent with a difference quotient along the last increment d of u, (owned,).
 
     The matrix holds the tangent at the present state, without a shift, and ``here`` is the residual
-    as it was met there. It takes two residuals, or three. Collective.
-
-    Returns:
-        The mismatch, ‖q − J d‖/‖q‖ or the change of r at one state over ‖r‖, beside more than its
-        error; None if there is none that is sure.
+    as it was met there. The mismatch is ‖q − J d‖/‖q‖, or the change of r at one state over ‖r‖,
+    beside its error; None if none is sure. Collective.
     """
     start, d, r = system.state(), system.free(d), system.free(here.force)
     most, reach = system.greatest(d), system.greatest(start[0])
@@ -75,8 +72,8 @@ def difference_from_derivative(system: System, here: Residual, d: Array) -> Advi
         if change > CHANGED:
             return Advice(COEFFICIENT, QUANTITY, change, CHANGED)
     missed = q - system.free(system.multiply(d))  # q − J d
-    norm, whole = system.norm(missed), system.norm(q)
-    if not norm > SURE * bend / h:
+    norm, error, whole = system.norm(missed), bend / h, system.norm(q)
+    if not norm > SURE * error:
         return None
     skew = abs(system.dot(d, missed)) <= ORTHOGONAL * system.norm(d) * norm
-    return Advice(RIM if skew else TERM, QUANTITY, norm / whole, bend / h / whole)
+    return Advice(RIM if skew else TERM, QUANTITY, norm / whole, error / whole)

@@ -18,8 +18,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mpi4py import MPI
-
 import dolfinx
 import ufl
 from ufl import classes
@@ -52,6 +50,8 @@ class Forms:
     condense: tuple[tuple[ufl.Form, dolfinx.fem.Function], ...] = ()  # residual, field
     energy: ufl.Form | None = None  # their potential, if there is one
     symmetric: bool | None = None  # is J the second derivative of an energy? None if nobody knows
+    volume_ratio: Expr | None = None  # what is positive at the points of a quadrature of a degree
+    degree: int = 0
 
     @property
     def residuals(self) -> list[ufl.Form]:
@@ -80,14 +80,8 @@ def derive(
 ) -> Forms:
     """Derive and check the forms of a :class:`NonlinearProblem`, whose arguments these are.
 
-    Args:
-        F: Residual, residuals of u and of each condensed field, or energy.
-        u: Unknown.
-        J: Tangent, if given.
-        condense: Fields to be condensed.
-        energy: Potential in addition to residuals.
-        degree: Highest quadrature degree of integrals that state none; None for no bound.
-        work: What scalar unknowns add to the residual of u; an energy is no potential then.
+    ``degree`` is the highest of integrals that state none; None for no bound. ``work`` is what
+    scalar unknowns add to the residual of u; an energy is no potential then.
 
     Raises:
         ValueError: The forms do not fit each other, or the unknowns.
@@ -99,9 +93,8 @@ def derive(
 
     for form in F if isinstance(F, Sequence) else [F]:
         require_forms(F=form)
-    require_forms(
-        **{name: form for name, form in (("J", J), ("energy", energy)) if form is not None}
-    )
+    given = {"J": J, "energy": energy}
+    require_forms(**{name: form for name, form in given.items() if form is not None})
     check_condensed(condense, u)
     symmetric = None
     if isinstance(F, ufl.Form) and not F.arguments():
@@ -124,19 +117,16 @@ def derive(
     if energy is not None:
         energy = match_quadrature_degree(limited(energy), F_u)
     fields = tuple(zip(map(limited, F_p), condense, strict=True))
-    return Forms(u, F_u, limited(J), fields, energy, symmetric)
-
-
-def warn_of_degree(forms: Forms, twice: int, comm: MPI.Comm) -> None:
-    """Log a quadrature degree that UFL estimates far beyond twice the degree of the unknown."""
-    degree = max(map(estimated_quadrature_degree, forms.residuals))
-    if degree > EXPLOSIVE * twice:
+    twice = 2 * u.function_space.ufl_element().embedded_superdegree
+    estimate = 0 if degree is not None else max(map(estimated_quadrature_degree, (F_u, *F_p)))
+    if estimate > EXPLOSIVE * twice:
         warn(
-            f"UFL estimates a quadrature degree of {degree} for F, which is slow to compile and to "
-            f"assemble: give quadrature_degree={twice}, twice the polynomial degree, or state a "
+            f"UFL estimates a quadrature degree of {estimate} for F, which is slow to compile and "
+            f"to assemble: give quadrature_degree={twice}, twice the polynomial degree, or state a "
             "degree in the measures.",
-            comm,
+            u.function_space.mesh.comm,
         )
+    return Forms(u, F_u, limited(J), fields, energy, symmetric)
 
 
 def _residuals(
@@ -221,10 +211,7 @@ def linear_forms(
     u: dolfinx.fem.Function | None,
     fields: Sequence[dolfinx.fem.Function],
 ) -> tuple[Forms, ufl.Form]:
-    """Check the forms of a :class:`LinearProblem`, and write them as residuals at zero.
-
-    Returns:
-        The forms, with fields that are zero, and the right-hand side of u.
+    """Return the checked forms of a :class:`LinearProblem` as residuals at zero, and that of L.
 
     Raises:
         ValueError: The forms do not fit each other, u, or the fields.

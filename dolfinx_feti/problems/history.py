@@ -59,7 +59,7 @@ class Stop(Exception):  # noqa: N818
 
 @dataclass(frozen=True, slots=True)
 class NewtonStep:
-    """What one Newton step cost.
+    """What one Newton step cost; what is not known is nan, or None of a number.
 
     Attributes:
         residual: ‖r‖ before the step.
@@ -67,20 +67,17 @@ class NewtonStep:
         linear_method: Krylov method.
         linear_iterations: Its iterations, those of all linear solves of the step.
         linear_residual: ‖K ΔU + r‖/‖r‖ of the assembled system.
-        condition_number: Of the preconditioned operator; nan if not known.
-        negative: Negative eigenvalues of the regularised subdomains and of D, those of the matrix
-            that the preconditioner belongs to (``lag``); None if they are not known.
-        indefinite: Negative eigenvalues that the true tangent has at least, see ``space``; None if
-            they are not known, as in a step that begins with a shift.
+        condition_number: Of the preconditioned operator.
+        negative: Negative eigenvalues of the regularised subdomains and of D (with a ``lag``).
+        indefinite: Negative eigenvalues that the true tangent has at least; None after a shift.
         shift: σ of the tangent K + σ diag|k| that ΔU solves; zero for the true one.
         solves: Linear solves; all but the last failed or led uphill.
         seconds_assembly: Time for residual and tangent.
         seconds_linear: Time for factors and Krylov method.
-        linear_rtol: Largest ``linear_residual`` that was asked for; nan if it is not known.
+        linear_rtol: Largest ``linear_residual`` that was asked for.
         lag: Matrices since the one that the preconditioner belongs to.
-        floor: ‖r‖ that is rounding; nan if it is not known.
-        linear_floor: ``linear_residual`` that is rounding, if that has ended the linear solve; else
-            nan.
+        floor: ‖r‖ that is rounding.
+        linear_floor: ``linear_residual`` that is rounding, if that has ended the linear solve.
         tangent_lag: Steps that the tangent had served before; 0 for a new one.
     """
 

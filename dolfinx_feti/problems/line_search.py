@@ -6,7 +6,7 @@ r"""The step length α of a Newton step ΔU (docs/theory.md).
 α is one unless the trial state turns a cell inside out, meets a NaN, or overshoots:
 
 .. math:: -η ≤ g(α)/g_0 ≤ 1 + η, \qquad g(α) = ΔU_f·r_f(U + α ΔU), \qquad
-          g_0 = ΔU_f·(r_f + K_{fD}\, ΔU_D), \qquad Π(U + α ΔU) ≤ Π_m + 10^{-4}\, α\, ΔU·r
+          g_0 = ΔU_f·(r_f + K_{fD}\, ΔU_D), \qquad Π(U + α ΔU) ≤ Π(U) + 10^{-4}\, α\, ΔU·r
 
 with forces before condensation, and Armijo's rule where a potential has a say. SNES's ``cp`` and
 ``bt`` search without det F, add lengths u − g to forces, and know no Π.
@@ -64,28 +64,17 @@ def line_search(
     du: Array,
     *,
     shifted: bool,
-    potential: float | None = None,
-    highest: float = -np.inf,
+    height: float = np.nan,
     early: bool = False,
 ) -> Trial:
-    """Find a step length along ΔU, and move there; stay if none is admissible. Collective.
+    """Find a step length along ΔU, (owned,), and move there; stay if none is admissible.
 
-    Args:
-        system: The system; its state is the one where the step begins, then the one where it ends.
-        residual: Its residual where the step begins.
-        du: ΔU, (owned,).
-        shifted: Whether a shift leads downhill, and may have made the step too short.
-        potential: Π where the step begins, nan if it is not known; None if it does not matter.
-        highest: Π that the step has to stay below, if that is higher.
-        early: Whether to give up early a step that overshoots, too.
+    A step that is ``shifted`` leads downhill, but the shift may have made it too short. ``height``
+    is Π where the step begins, nan if it does not matter; ``early``, whether to give up early a
+    step that overshoots, too. Collective.
     """
     start = system.state()
-    height = np.nan if potential is None else potential
-    if potential is not None and np.isnan(height):
-        height = system.potential()
-    move = _mover(
-        system, residual, du, height, height if shifted else max(height, highest), shifted=shifted
-    )
+    move = _mover(system, residual, du, height, shifted=shifted)
     trial, overshot, trials = move(1.0), False, 1
     low, high = Trial(0.0, residual, 1.0), trial
     while not trial.accepted or (overshot and not -CLOSE <= trial.ratio <= WOLFE):
@@ -111,7 +100,7 @@ def line_search(
 
 
 def _mover(
-    system: System, residual: Residual, du: Array, height: float, highest: float, *, shifted: bool
+    system: System, residual: Residual, du: Array, height: float, *, shifted: bool
 ) -> Callable[[float], Trial]:
     """Return the function that goes to U + α ΔU and judges the state there."""
     start, step = system.state(), system.increment(residual, du)
@@ -131,12 +120,10 @@ def _mover(
             return Trial(alpha, residual)
         moved = system.residual()
         ratio = system.dot(free, moved.force) / slope if slope else 0.0  # g(α)/g_0
-        bounded = -ETA <= ratio <= 1.0 + ETA
-        accepted, there = bounded and not only_down, np.nan
+        accepted, there = -ETA <= ratio <= 1.0 + ETA and not only_down, np.nan
         if not accepted and known:
             there = system.potential()
-            most = highest if bounded else height
-            accepted = (shifted or ratio >= -ETA) and there <= most + DESCENT * alpha * slope
+            accepted = (shifted or ratio >= -ETA) and there <= height + DESCENT * alpha * slope
         return Trial(alpha, moved, ratio, accepted, there)
 
     return move

@@ -117,10 +117,7 @@ class LinearProblem(TornProblem):
         return self._compiler.form(self._load)
 
     def solve(self) -> dolfinx.fem.Function:
-        """Assemble and solve. Collective.
-
-        Returns:
-            The solution u.
+        """Assemble, solve, and return u. Collective.
 
         Raises:
             ConvergenceError: FETI did not converge; u is left as it was.
@@ -157,7 +154,7 @@ class LinearProblem(TornProblem):
         return self.u
 
     def _solve_from_zero(self, r: Array) -> None:
-        """Solve for u, into x, and for s: their equations are linear."""
+        """Solve for u, into x, and for s."""
         scalars = self._system.scalars
         u, s = self.u.x.array.copy(), scalars.values()
         self.u.x.array[:] = 0.0
@@ -169,7 +166,3 @@ class LinearProblem(TornProblem):
         finally:
             self.u.x.array[:] = u
             scalars.set_values(s)
-
-    def _approximation(self) -> Array:
-        """Return the last solution, (owned,)."""
-        return np.asarray(self.u.x.array[: self.b.getLocalSize()])

@@ -1,11 +1,17 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Multipliers that make a material incompressible in the end: their updates, accelerated.
+r"""Multipliers that make a material incompressible in the end, a fixed point U = g(U).
 
 The update λ ← p(λ) of the augmented Lagrangian, with the pressure p(λ) of the equilibrium under
-λ, converges linearly, the faster the larger κ is beside the stiffness of the material; Anderson's
-method accelerates it (docs/theory.md).
+λ, converges linearly, the faster the larger κ is beside the stiffness of the material. Anderson's
+method accelerates it: of the last differences :math:`Δ\mathcal U, Δ\mathcal F` of the iterates and
+of their residuals F = g(U) − U it takes the combination that leaves the least residual,
+
+.. math:: γ = \arg\min \|F - Δ\mathcal F\, γ\|, \qquad
+    U ← U + F - (Δ\mathcal U + Δ\mathcal F)\, γ
+
+(Walker and Ni, SIAM Journal on Numerical Analysis 49 (2011), formula 2.2 with β = 1).
 """
 
 from __future__ import annotations
@@ -17,13 +23,36 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_feti.errors import ConvergenceError
-from dolfinx_feti.problems.anderson import Anderson
 from dolfinx_feti.problems.system import System
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 
 #: Most updates of a solve.
 UPDATES = 50
+
+#: Differences that are kept.
+DEPTH = 20
+
+#: Directions of a smaller share of the largest eigenvalue are rounding.
+SMALL = 1e-12
+
+
+class Anderson:
+    """The last iterates of a fixed point; the first ``owned`` entries are this process's."""
+
+    def __init__(self, comm: MPI.Comm, owned: int) -> None:
+        self._comm, self._owned = comm, owned
+        self._last: list[tuple[Array, Array]] = []  # U, F
+
+    def next(self, U: Array, F: Array) -> Array:
+        """Return the next iterate from U and its residual F. Collective."""
+        self._last = [*self._last[-DEPTH:], (U.copy(), F.copy())]
+        of_U, of_F = (np.diff(vectors, axis=0) for vectors in zip(*self._last, strict=True))
+        own = of_F[:, : self._owned]
+        A, b = self._comm.allreduce(own @ own.T), self._comm.allreduce(own @ F[: self._owned])
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
+        γ = scale * (np.linalg.pinv(scale[:, None] * A * scale, SMALL) @ (scale * b))
+        return U + F - γ @ (of_U + of_F)
 
 
 def prepare(system: System, tolerance: float) -> None:
@@ -44,9 +73,8 @@ def prepare(system: System, tolerance: float) -> None:
 def hold(system: System, pressure: Array | None = None) -> float:
     """Let λ be the pressure, as in ``System.state``, or the present one. Collective.
 
-    Returns:
-        The greatest change of the mean compression of a cell: abs(mean J − 1) where the state
-        solves the equation of p, and λ becomes p.
+    Return the greatest change of the mean compression of a cell: abs(mean J − 1) where λ becomes
+    the p that solves its equation.
     """
     fields = system.condensation
     assert fields is not None
@@ -58,13 +86,8 @@ def hold(system: System, pressure: Array | None = None) -> float:
 def updated(system: System, solve: Callable[[int], bool], tolerance: float) -> Iterator[float]:
     """Solve and update the multipliers in turn, from λ = p until each cell keeps its volume.
 
-    Args:
-        system: The system.
-        solve: Solves it after so many updates; tells whether to the end.
-        tolerance: On abs(mean J − 1) of each cell.
-
-    Yields:
-        The greatest abs(mean J − 1) of a cell after each solve.
+    ``solve`` is told the number of updates, and tells whether it has solved to the end. Yields the
+    greatest abs(mean J − 1) of a cell after each solve.
 
     Raises:
         ConvergenceError: There were too many updates, or ``solve`` has failed.

@@ -43,9 +43,6 @@ LEFT = 0.1
 #: Share of the reactions that counts as the load of a solve at least.
 LEAST_REACTION = 0.1
 
-#: Over so many states the highest potential has to fall.
-MEMORY = 8
-
 #: What of its first residual a rough solve leaves.
 ROUGH = 0.1
 
@@ -55,8 +52,8 @@ PATIENCE = 3
 #: Share of the residual down to which a linear solve that stagnates there leads on.
 CLOSE = 1e-3
 
-#: The shifts that are tried: none, and others that grow.
-SHIFTS = (0.0, *(1e-4 * 4.0**k for k in range(8)))
+#: The shifts: none, others that grow, and the least of these that is tried without one before it.
+SHIFTS, LEAST = (0.0, *(1e-4 * 4.0**k for k in range(-1, 8))), 2
 
 #: So many steps, each of which leaves more than this share of the residual, are slow.
 SLOW_STEPS, SLOW = 3, 0.03
@@ -106,21 +103,20 @@ class Newton:
         message: What went wrong in it and what helps, or an empty string.
         residual: ``Residual.equations`` of its last iterate, (owned,).
         at_end: Whether that is within the SNES's own tolerances, also after a rough solve.
-        mismatch: How the tangent is not the derivative, once a solve has found that; else None.
+        mismatch: How the tangent is not the derivative, once a solve has found that.
     """
 
-    def __init__(self, system: System) -> None:
-        self._system, self.start = system, Start()
+    def __init__(self, system: System, mismatch: list[Advice]) -> None:
+        self._system, self.start, self.mismatch = system, Start(), mismatch
         self.history: list[NewtonStep] = []
         self.message, self.at_end = "", False
         self.residual = self._du = np.zeros(system.owned)
-        self.mismatch: Advice | None = None
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
         """Iterate from the state of the user's functions until the residual is small."""
         system, self._start, self.start = self._system, self.start, Start()
         self.history, self.message = [], ""
-        self._compared = self.mismatch is not None
+        self._compared = bool(self.mismatch)
         try:
             reason = self._iterate(snes, self._start)
         except Stop as stop:
@@ -130,8 +126,9 @@ class Newton:
             if reason in NOT_CLOSER and self.history and not self._compared:
                 system.linearise()
                 self._compare(system.residual())
-            if reason in NOT_CLOSER and self.mismatch is not None:
-                self.message = f"{self.message.partition(':')[0]}: {NO_DERIVATIVE}: {self.mismatch}"
+            if reason in NOT_CLOSER and self.mismatch:
+                said = self.message.partition(":")[0]
+                self.message = f"{said}: {NO_DERIVATIVE}: {self.mismatch[0]}"
         snes.setConvergedReason(reason)
         x.array[:] = system.state()[0]
 
@@ -145,7 +142,7 @@ class Newton:
         if system.least_volume_ratio() <= 0.0:
             raise Stop("inverted")
         load, moved = float(np.fmin(first, start.reference)), system.boundary_moves(here)
-        self._heights, self._level = [np.nan], 0  # Π of the last states, and of SHIFTS
+        self._height, self._level = np.nan, 0  # the last known Π, and of SHIFTS
         self._patience = PATIENCE if moved else 0
         self._refuse = start.early and start.tangent is None and first > start.reference
         at_most = LEAST_REACTION * (1.0 if moved or rtol <= RTOL else RTOL / rtol)
@@ -234,16 +231,15 @@ class Newton:
             assembled = time.perf_counter()
             found = next(directions)
             solved = time.perf_counter()
+            if found.plain or not system.has_potential:
+                self._height = np.nan
+            elif np.isnan(self._height):
+                self._height = system.potential()
+            shifted, early = found.shift > 0.0, self._start.early
             end = line_search(
-                system,
-                seen,
-                found.du,
-                shifted=found.shift > 0.0,
-                potential=None if found.plain or not system.has_potential else self._heights[-1],
-                highest=float(np.fmax.reduce(self._heights)),
-                early=self._start.early,
+                system, seen, found.du, shifted=shifted, height=self._height, early=early
             )
-            self._heights = [*self._heights[1 - MEMORY :], end.potential]
+            self._height = end.potential
             step = NewtonStep.after(
                 ksp.getPythonContext(),
                 found.iterations,
@@ -265,18 +261,16 @@ class Newton:
         """Yield one direction after the other, until one of them leads on.
 
         With a potential the plain one comes last, but while prescribed displacements move and for a
-        few steps after that. Without one a shift is what is left where the plain solve fails. No
-        scalars are refused an indefinite tangent, which lead on where K does not.
-
-        Raises:
-            Stop: There is no other.
+        few steps after that. Without one a shift is what is left where the plain solve fails, or
+        Stop is raised. With scalars no tangent is refused: they lead on where K does not.
         """
         system, feti, first = self._system, ksp.getPythonContext(), not self.history
         refuse = self._refuse and first and not system.scalars.size
         down, indefinite, iterations, leads = system.has_potential, None, [], False
-        tries = [(level, False) for level in range(self._level if down else 1, len(SHIFTS))]
-        if moves or (not down and self._start.early):
-            tries = []
+        least = self._level if down else LEAST
+        levels = [least, *range(max(LEAST, least + 1), len(SHIFTS))]
+        may_shift = not moves and (down or not self._start.early)
+        tries = [(level, False) for level in levels if may_shift]
         plain_first = not down or moves or self._patience > 0
         tries.insert(0 if plain_first else len(tries), (0, True))
         for level, plain in tries:
@@ -318,6 +312,7 @@ class Newton:
     def _compare(self, here: Residual) -> None:
         """Compare the tangent with the derivative along the last ΔU, once in a solve, and tell."""
         self._compared = True
-        self.mismatch = difference_from_derivative(self._system, here, self._du)
-        if self.mismatch is not None:
-            warn(f"{NO_DERIVATIVE}: {self.mismatch}", self._system.comm)
+        found = difference_from_derivative(self._system, here, self._du)
+        if found is not None:
+            self.mismatch.append(found)
+            warn(f"{NO_DERIVATIVE}: {found}", self._system.comm)

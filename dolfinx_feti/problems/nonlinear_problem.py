@@ -18,18 +18,12 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.content import content_of
 from dolfinx_feti.fem.internal_variables import create_internal_variables
 from dolfinx_feti.problems.arguments import checked_conditions, require_function
-from dolfinx_feti.problems.forms import (
-    condensed_fields,
-    default_volume_ratio,
-    derive,
-    warn_of_degree,
-)
+from dolfinx_feti.problems.forms import condensed_fields, default_volume_ratio, derive
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.multipliers import hold, prepare, updated
 from dolfinx_feti.problems.newton import Newton, Start
@@ -125,26 +119,21 @@ class NonlinearProblem(TornProblem):
         require_function(u)
         assert isinstance(u, dolfinx.fem.Function)
         V = u.function_space
-        comm = V.mesh.comm
-        conditions = on_all(lambda: checked_conditions(V, bcs), comm)
+        conditions = on_all(lambda: checked_conditions(V, bcs), V.mesh.comm)
         fields = condensed_fields(condense)
         couplings = [*blocks, *coupled.checked_couplings(scalars, conditions, V)]
         degree, work = quadrature_degree, coupled.works(couplings)
         forms = derive(F, u, J=J, condense=fields, energy=energy, degree=degree, work=work)
         coupled.refuse_condensed_fields(couplings, fields, forms.residuals[1:])
-        twice = 2 * V.ufl_element().embedded_superdegree
-        if quadrature_degree is None:
-            warn_of_degree(forms, twice, comm)
+        torn = replace(
+            forms,
+            energy=None if couplings else forms.energy,
+            volume_ratio=default_volume_ratio(forms) if volume_ratio is None else volume_ratio,
+            degree=2 * V.ufl_element().embedded_superdegree if degree is None else degree,
+        )
+        compilers = form_compiler_options, jit_options
         super().__init__(
-            "nonlinear_problem",
-            replace(forms, energy=None) if couplings else forms,
-            conditions,
-            couplings,
-            (form_compiler_options, jit_options),
-            petsc_options,
-            default_volume_ratio(forms) if volume_ratio is None else volume_ratio,
-            twice if quadrature_degree is None else quadrature_degree,
-            **common,
+            "nonlinear_problem", torn, conditions, couplings, compilers, petsc_options, **common
         )
         self.u, system = u, self._system
         if volume_tolerance is not None:
@@ -158,7 +147,7 @@ class NonlinearProblem(TornProblem):
         )
         self._history: list[NewtonStep] = []
         self.volume_changes: list[float] = []
-        self._newton = Newton(system)
+        self._newton = Newton(system, self._known_advice)
         self.solver = create_newton_solver(self._newton, self.A, self._prefix, self._petsc_options)
 
     @cached_property
@@ -185,11 +174,6 @@ class NonlinearProblem(TornProblem):
         """What each Newton step of the last solve cost, those after multipliers included."""
         return self._history + self._newton.history
 
-    def _known_advice(self) -> tuple[Advice, ...]:
-        """Return the advice where a slow solve has found that J is not the derivative of F."""
-        found = self._newton.mismatch
-        return () if found is None else (found,)
-
     def residual_norm(self) -> float:
         """Return ‖r‖ of the present state under the present load. Collective."""
         self._hold()
@@ -200,15 +184,12 @@ class NonlinearProblem(TornProblem):
 
         Call it in an equilibrium, *before* the load grows, and give it to :meth:`solve`: the first
         step is then a prediction along the path. A tangent with the new load and the old stress can
-        be indefinite although every state on the way is stable.
-
-        Returns:
-            A name of the tangent, which the matrix holds until the next step is assembled.
+        be indefinite although every state on the way is stable. It returns a name of the tangent,
+        which the matrix holds until the next step is assembled.
         """
         return self._system.linearise()
 
     def _assemble(self) -> Residual:
-        """Assemble tangent and residual, with λ = p."""
         self._hold()
         return super()._assemble()
 
@@ -220,7 +201,7 @@ class NonlinearProblem(TornProblem):
         renew: bool = True,
         give_up_early: bool = False,
     ) -> dolfinx.fem.Function | Sequence[dolfinx.fem.Function]:
-        """Iterate from the present u (and pressure) to the solution. Collective.
+        """Iterate from the present u (and pressure) to the solution, as u was given. Collective.
 
         With a ``volume_tolerance`` the material is incompressible in the end: after each Newton
         solve the pressure becomes the multiplier (docs/theory.md, *Multipliers*). A solve begins
@@ -237,9 +218,6 @@ class NonlinearProblem(TornProblem):
                 has not changed much, and u depends on earlier solves, within the tolerance.
             give_up_early: Whether to end at once where step lengths stay below 0.1, or where the
                 tangent of a bad guess is indefinite: a shorter increment is cheaper then.
-
-        Returns:
-            The unknown u, or [u, s] as it was given.
 
         Raises:
             ConvergenceError: Newton's method or FETI failed; u holds the last good iterate.

@@ -43,11 +43,7 @@ PLAIN = ("", "ascii", "true", "1")
 
 
 def create_solver(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]) -> PETSc.KSP:
-    """Create a KSP of a torn matrix with the FETI context and set it from the options. Collective.
-
-    Raises:
-        ValueError: An option has a wrong value.
-    """
+    """Create a KSP of a torn matrix with the FETI context, and set it from the options."""
     ksp = PETSc.KSP().create(A.comm)
     _set_up(ksp, ksp, FETI(), A, prefix, petsc_options)
     return ksp
@@ -56,11 +52,7 @@ def create_solver(A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
 def create_newton_solver(
     newton: object, A: PETSc.Mat, prefix: str, petsc_options: Mapping[str, object]
 ) -> PETSc.SNES:
-    """Create a SNES and its KSP with their contexts, and set them from the options. Collective.
-
-    Raises:
-        ValueError: An option has a wrong value.
-    """
+    """Create a SNES and its KSP with their contexts, and set them from the options."""
     snes = PETSc.SNES().create(A.comm)
     snes.setType(PETSc.SNES.Type.PYTHON)
     snes.setPythonContext(newton)
@@ -77,26 +69,27 @@ def _set_up(
     prefix: str,
     petsc_options: Mapping[str, object],
 ) -> None:
-    """Give a solver, whose KSP is this one, the FETI context and options; errors are of Python."""
+    """Give a solver, whose KSP is this one, the FETI context and options. Collective.
+
+    Raises:
+        ValueError: An option has a wrong value.
+    """
     comm = A.comm.tompi4py()
     solver.setOptionsPrefix(prefix)
 
     def set_up() -> None:
         with inserted(prefix, petsc_options):
             other = options_without_effect(prefix)
+            named = ", ".join(f"-{prefix}{name} {value}".rstrip() for name, value in other.items())
             if other:
-                named = ", ".join(
-                    f"-{prefix}{name} {value}".rstrip() for name, value in other.items()
-                )
                 warn(
                     f"Without effect: {named}. FETI solves the torn system; leave them out. "
                     f"-{prefix}feti_… chooses its parts, see docs/options.md.",
                     comm,
                 )
-            view = PETSc.Options(prefix).getString("ksp_view", "none")
-            ksp.setAttr(VIEW_ONCE, view in PLAIN)
-            viewed = ["ksp_view"] if view in PLAIN else []
-            with withheld(prefix + name for name in {*SOLVERS, *other, *viewed}):
+            once = PETSc.Options(prefix).getString("ksp_view", "none") in PLAIN
+            ksp.setAttr(VIEW_ONCE, once)
+            with withheld(prefix + name for name in (*SOLVERS, *other, *["ksp_view"] * once)):
                 ksp.setOperators(A)
                 ksp.setType(PETSc.KSP.Type.PYTHON)
                 ksp.setPythonContext(feti)
@@ -130,13 +123,10 @@ def no_closer_than(norm: float, ksp: PETSc.KSP) -> Iterator[None]:
 
 def options_without_effect(prefix: str) -> dict[str, str]:
     """Find the options under a prefix that belong to another solver, with their values."""
-    under = {
-        key.removeprefix(prefix): value
-        for key, value in PETSc.Options().getAll().items()
-        if key.startswith(prefix)
-    }
-    return {
-        name: value
-        for name, value in under.items()
-        if (name not in SOLVERS and name.startswith(FOREIGN)) or value != SOLVERS.get(name, value)
-    }
+    found = {}
+    for key, value in PETSc.Options().getAll().items():
+        name = key.removeprefix(prefix)
+        foreign = name not in SOLVERS and name.startswith(FOREIGN)
+        if key.startswith(prefix) and (foreign or value != SOLVERS.get(name, value)):
+            found[name] = value
+    return found

@@ -19,7 +19,6 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx
-from ufl.core.expr import Expr
 
 from dolfinx_feti.fem import assembly
 from dolfinx_feti.fem.compiler import Compiler
@@ -42,26 +41,17 @@ MOVED = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Residual:
-    """The residual at one state; forces and lengths are never added.
+    """The residual at one state, (owned,) in u; forces and lengths are never added."""
 
-    Attributes:
-        condensed: Forces of the free dofs with the fields condensed into them, (owned,); zero on
-            Dirichlet dofs.
-        force: Forces before condensation, (owned,); reactions on Dirichlet dofs.
-        gap: u − g of the Dirichlet dofs, (owned,); zero on the free ones.
-        blocks: What the condensed fields need, if there are any.
-        scalar: What the equations of the scalars miss, (m,).
-    """
-
-    condensed: Array
-    force: Array
-    gap: Array
-    blocks: Blocks | None
-    scalar: Array = field(default_factory=lambda: np.zeros(0))
+    condensed: Array  # forces with the fields condensed into them, zero on Dirichlet dofs
+    force: Array  # forces before condensation; reactions on Dirichlet dofs
+    gap: Array  # u − g of the Dirichlet dofs, zero on the free ones
+    blocks: Blocks | None  # of the condensed fields
+    scalar: Array = field(default_factory=lambda: np.zeros(0))  # missed by the scalars, (m,)
 
     @property
     def equations(self) -> Array:
-        """Newton's right-hand side but for its sign: a force, or a length, for each dof."""
+        """Newton's right-hand side but for its sign: a force or a length of each dof."""
         return self.condensed + self.gap
 
 
@@ -75,15 +65,13 @@ class System:
     The state is what the user's Functions hold. Its methods are collective.
 
     Attributes:
-        u: Displacement (or another unknown).
         A: Torn matrix.
         tangent: Names the tangent that it holds.
-        bcs: Dirichlet conditions.
-        dirichlet: Mask of their dofs, (owned,).
+        dirichlet: Mask of the dofs of ``bcs``, (owned,).
         is_held: Whether a tangent has been regular with these conditions: then they are enough.
-        comm: Communicator of the mesh.
-        owned: Number of dofs that this process owns.
+        owned: Number of dofs of u that this process owns.
         is_displacement: Whether u is one, with a det F to watch.
+        has_potential: Whether an energy is known.
         scalars: Scalar unknowns beside u.
     """
 
@@ -93,15 +81,10 @@ class System:
         *,
         bcs: Sequence[dolfinx.fem.DirichletBC],
         decomposition: Decomposition,
-        volume_ratio: Expr | None = None,
-        quadrature_degree: int = 0,
         compiler: Compiler | None = None,
         scalars: Sequence[Coupling] = (),
     ) -> None:
-        """Tear the space and compile all forms, with dolfinx's options if no compiler is given.
-
-        ``volume_ratio`` has to be positive at the points of a quadrature of the degree.
-        """
+        """Tear the space and compile all forms, with dolfinx's options if no compiler is given."""
         self.u, V, F_u = forms.u, forms.u.function_space, forms.F_u
         self.comm = V.mesh.comm
         self._n_cells = len(decomposition.subdomain)
@@ -117,28 +100,25 @@ class System:
             )
         self._K = assembly.create_local_matrix(self._space, compiler)
         self._diagonal = diagonal_places(self._K.mat)  # none is missing
-        self._stiffness = np.zeros(len(self._diagonal))
-        self.A = assembly.create_matis(
-            self._space, self._K.mat, bcs, self._stiffness, forms.symmetric
-        )
+        self._stiffness = k = np.zeros(len(self._diagonal))
+        self.A = assembly.create_matis(self._space, self._K.mat, bcs, k, forms.symmetric)
         self.tangent = Tangent()
         if self.condensation is not None:
             set_condensed(self.A, self.condensation.constraints)
-        energy = forms.energy
+        energy, self.has_potential = forms.energy, forms.energy is not None
         self._energy = energy if energy is None else assembly.split_form(energy, V.mesh, compiler)
         self._shift = 0.0
         self._blocks: Blocks | None = None  # of the tangent
         dirichlet = assembly.dirichlet_mask(V, bcs)
         self.bcs, self.dirichlet, self.is_held = list(bcs), dirichlet, False
         self.scalars = ScalarSystem(scalars, self.u, F_u, compiler, free=~dirichlet)
-        self.is_displacement = volume_ratio is not None
-        self._volume_ratio = None
-        if volume_ratio is not None:
-            points = quadrature_points(V.mesh, quadrature_degree)
-            self._volume_ratio = compiler.expression(volume_ratio, points)
+        self.is_displacement, self._volume_ratio = forms.volume_ratio is not None, None
+        if forms.volume_ratio is not None:
+            points = quadrature_points(V.mesh, forms.degree)
+            self._volume_ratio = compiler.expression(forms.volume_ratio, points)
         bs = V.dofmap.index_map_bs
-        torn = self._space.dof[:, None] * bs + np.arange(bs)
-        self._local = torn.ravel()  # local dof of V of each torn dof
+        #: Local dof of V of each torn dof, (n_torn,).
+        self._local = (self._space.dof[:, None] * bs + np.arange(bs)).ravel()
         self.owned = V.dofmap.index_map.size_local * bs
         self._size: Array | float = 0.0  # h, of a displacement
 
@@ -183,7 +163,7 @@ class System:
         ds = self.scalars.increment
         if self.condensation is None or here.blocks is None:
             return du, np.zeros(0), ds
-        whole = self._vector()
+        whole = dolfinx.fem.Function(self.u.function_space).x
         whole.array[: self.owned] = du
         whole.scatter_forward()
         return du, self.condensation.increment(here.blocks, whole.array[self._local]), ds
@@ -199,11 +179,6 @@ class System:
         cells = np.arange(self._n_cells, dtype=np.int32)
         values = self._volume_ratio.eval(self.u.function_space.mesh, cells)
         return float(values.min()) if np.all(np.isfinite(values)) else -np.inf
-
-    @property
-    def has_potential(self) -> bool:
-        """Whether there is a potential."""
-        return self._energy is not None
 
     def potential(self) -> float:
         """Return Π(u), or Π(u, p) with the p that its own equation demands."""
@@ -259,10 +234,7 @@ class System:
         return self.tangent
 
     def _fill(self, here: Residual | None) -> None:
-        """Assemble the local matrix, and the stiffness that weighs the copies of a dof.
-
-        That is the diagonal before the pressure is condensed into it (docs/theory.md, *Gluing*).
-        """
+        """Assemble K and, before condensation, the diagonal that weighs the copies of a dof."""
         self._shift, self.tangent = 0.0, Tangent()  # before what may fail
         assembly.assemble(self._K, self._tangent)
         if self.is_displacement:  # of the present mesh, which may have moved
@@ -280,28 +252,21 @@ class System:
 
         h is the size of the cells, whose displacement is rounded like the ones in F = I + Grad u.
         """
-        return self._root(product_rounding(self._K.mat, self._rounded()))
+        rounded = np.hypot(self.u.x.array[self._local], self._size)
+        return self._root(product_rounding(self._K.mat, rounded))
 
     def least_rounding(self) -> float:
         r"""Return less than it before condensation: :math:`ε \|k_{ii} (u_i^2 + h_i^2)^{1/2}\|`."""
-        return self._root((EPS * self._stiffness * self._rounded()) ** 2)
-
-    def _rounded(self) -> Array:
-        """Return what is rounded at each torn dof, (u² + h²)^½."""
-        return np.hypot(self.u.x.array[self._local], self._size)
+        rounded = np.hypot(self.u.x.array[self._local], self._size)
+        return self._root((EPS * self._stiffness * rounded) ** 2)
 
     def _root(self, torn: Array) -> float:
         """Return the root of the sum of squares of all free dofs, of (n_torn,)."""
         return float(np.sqrt(self.comm.allreduce(self.free(self._assembled(torn)).sum())))
 
-    def _vector(self) -> dolfinx.la.Vector:
-        """Create a vector of the dofs of u, with ghosts."""
-        dofmap = self.u.function_space.dofmap
-        return dolfinx.la.vector(dofmap.index_map, dofmap.index_map_bs)
-
     def _assembled(self, torn: Array) -> Array:
         """Sum the copies of each owned dof, (n_torn,) → (owned,)."""
-        sums = self._vector()
+        sums = dolfinx.fem.Function(self.u.function_space).x
         sums.array[:] = np.bincount(self._local, torn, minlength=len(sums.array))
         sums.scatter_reverse(dolfinx.la.InsertMode.add)
         return sums.array[: self.owned].copy()

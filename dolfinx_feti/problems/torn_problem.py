@@ -12,7 +12,6 @@ from petsc4py import PETSc
 
 import dolfinx
 import ufl
-from ufl.core.expr import Expr
 
 from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.run import Diagnosis, diagnose
@@ -22,7 +21,7 @@ from dolfinx_feti.problems.arguments import agreed_prefix, checked_conditions
 from dolfinx_feti.problems.forms import Forms
 from dolfinx_feti.problems.solvers import create_solver
 from dolfinx_feti.problems.system import Residual, System
-from dolfinx_feti.runtime.arrays import Array, Integers
+from dolfinx_feti.runtime.arrays import Integers
 from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.scalars.equations import Coupling
 
@@ -65,8 +64,7 @@ class TornProblem:
         b: The right-hand side of a linear problem; the residual of the last iterate of another one,
             with the pressure condensed into it.
         x: The last solution or iterate, as ``b`` without ghosts; u has memory of its own.
-        P_mat: None, for FETI's preconditioner is no matrix.
-        preconditioner: None.
+        P_mat: None, for FETI's preconditioner is no matrix; as ``preconditioner``.
         decomposition: Subdomain of each owned cell.
     """
 
@@ -83,8 +81,6 @@ class TornProblem:
         scalars: Sequence[Coupling],
         compilers: tuple[Mapping[str, object] | None, Mapping[str, object] | None],
         petsc_options: Mapping[str, object] | None,
-        volume_ratio: Expr | None = None,
-        quadrature_degree: int = 0,
         /,
         **common: Unpack[Common],
     ) -> None:
@@ -106,6 +102,7 @@ class TornProblem:
                 "own; leave it out.",
                 comm,
             )
+        self._known_advice: list[Advice] = []  # what earlier solves have found
         self._prefix = agreed_prefix(common.get("petsc_options_prefix"), name, comm)
         self._petsc_options = dict(petsc_options or {})
         self._forms, self._compiler = forms, Compiler(comm, *compilers)
@@ -117,8 +114,6 @@ class TornProblem:
             forms,
             bcs=bcs,
             decomposition=self.decomposition,
-            volume_ratio=volume_ratio,
-            quadrature_degree=quadrature_degree,
             compiler=self._compiler,
             scalars=scalars,
         )
@@ -133,14 +128,11 @@ class TornProblem:
 
     @property
     def bcs(self) -> tuple[dolfinx.fem.DirichletBC, ...]:
-        """The Dirichlet conditions. Others may be assigned: the next solve meets them.
+        """The Dirichlet conditions. Others, assigned on all processes, hold in the next solve.
 
         Raises:
             ValueError: What is assigned is no list of conditions on the space of the unknown, or
                 leaves a scalar unknown without a solution.
-
-        Note:
-            Assignment is collective.
         """
         return tuple(self._system.bcs)
 
@@ -155,11 +147,10 @@ class TornProblem:
         return self._system.condensation is not None
 
     def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
-        """Assemble the torn system of the next solve, or of its first Newton step. Collective.
+        """Assemble A and b of the next solve, or of its first Newton step. Collective.
 
-        Returns:
-            A, which stays the problem's own, and b, which the caller destroys: −r with the pressure
-            condensed into it in a Newton step.
+        A stays the problem's own, the caller destroys b: −r with the pressure condensed into it in
+        a Newton step.
         """
         b = self.A.createVecLeft()
         b.array[:] = -self._assemble().equations
@@ -171,40 +162,23 @@ class TornProblem:
         self._system.linearise(residual)
         return residual
 
-    def _approximation(self) -> Array | float:
-        """Return the x of the present state, (owned,), or one value for all."""
-        return 0.0
-
-    def _known_advice(self) -> tuple[Advice, ...]:
-        """Return what earlier solves have found."""
-        return ()
-
     def create_linear_solver(self) -> PETSc.KSP:
-        """Create another FETI solver of A, with the options of this problem. Collective.
-
-        Returns:
-            A KSP that has set up nothing yet; the caller destroys it.
-
-        Raises:
-            ValueError: An option has a wrong value.
-        """
+        """Create another FETI solver of A, which the caller destroys, with the same options."""
         return create_solver(self.A, self._prefix, self._petsc_options)
 
     def diagnose(self) -> Diagnosis:
         """Measure what FETI builds for the next linear system and what its time goes into.
 
         It is assembled anew and solved once more, by another solver with the same options. PETSc's
-        logging is begun if it is not, for the times. Collective.
-
-        Returns:
-            The diagnosis: ``print`` it, or take its ``records``.
+        logging is begun if it is not, for the times. ``print`` the diagnosis, or take its
+        ``records``. Collective.
         """
         return diagnose(
             self.linear_system,
             self.create_linear_solver,
-            state=self._approximation(),
+            state=0.0 if self._system.u is self.u else self.u.x.array[: self._system.owned],
             prefix=self._prefix,
-            known=self._known_advice(),
+            known=self._known_advice,
         )
 
     def __del__(self) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from collective import COMM, agree, small
 
-from dolfinx_feti.problems.anderson import Anderson
+from dolfinx_feti.problems.multipliers import Anderson
 
 
 def part(n: int) -> slice:
