@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import threading
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import pytest
@@ -18,30 +19,43 @@ from dolfinx_feti.loading.steps import Steps
 
 
 class Terminal(io.StringIO):
-    """Keeps what is written to it."""
+    """A terminal, or none, that keeps what is written to it or fails."""
 
     encoding = "utf-8"
 
+    def __init__(self, *, there: bool = True, error: Exception | None = None) -> None:
+        super().__init__()
+        self.there, self.error, self.tried = there, error, 0
+
     def isatty(self) -> bool:
-        return True
+        return self.there
 
-
-@pytest.fixture(autouse=True)
-def still(monkeypatch) -> None:
-    """Let no time pass, which a busy machine would show."""
-    monkeypatch.setattr(
-        "dolfinx_feti.loading.stepper.time", SimpleNamespace(perf_counter=lambda: 0.0)
-    )
+    def write(self, text: str) -> int:
+        self.tried += 1
+        if self.error is not None:
+            raise type(self.error)(*self.error.args)  # afresh: a traceback holds the SNES
+        return super().write(text)
 
 
 @pytest.fixture
-def terminal(monkeypatch) -> Terminal:
-    """Give each process a terminal as stderr."""
-    screen = Terminal()
-    monkeypatch.setattr("dolfinx_feti.loading.progress.sys", SimpleNamespace(stderr=screen))
+def open_terminal(monkeypatch) -> Callable[..., Terminal]:
+    """Give each process a terminal as stderr, and let no time pass, as a busy machine would."""
+    clock = SimpleNamespace(perf_counter=lambda: 0.0)
+    monkeypatch.setattr("dolfinx_feti.loading.stepper.time", clock)
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setenv("LINES", "24")
-    return screen
+
+    def open_one(**options: object) -> Terminal:
+        screen = Terminal(**options)
+        monkeypatch.setattr("dolfinx_feti.loading.progress.sys", SimpleNamespace(stderr=screen))
+        return screen
+
+    return open_one
+
+
+@pytest.fixture
+def terminal(open_terminal) -> Terminal:
+    return open_terminal()
 
 
 def lines(written: str) -> list[str]:
@@ -54,9 +68,8 @@ def shown(terminal: Terminal) -> list[str]:
     return [line for line in lines(terminal.getvalue()) if "Newton" in line]
 
 
-def test_nothing_is_shown_where_there_is_no_terminal(played, monkeypatch):
-    screen = io.StringIO()
-    monkeypatch.setattr("dolfinx_feti.loading.progress.sys", SimpleNamespace(stderr=screen))
+def test_nothing_is_shown_where_there_is_no_terminal(played, open_terminal):
+    screen = open_terminal(there=False)
     played().follow([1.0], Steps(first=0.1, least=0.1))
     agree(screen.getvalue() == "", screen.getvalue())
 
@@ -109,21 +122,6 @@ def test_bar_makes_room_for_other_output(played, terminal):
     agree(set(map(tuple, cleared)) == {("",) if COMM.rank == 0 else ()}, cleared)
 
 
-class NoTerminal(io.StringIO):
-    """Looks like a terminal, and cannot be written to."""
-
-    def __init__(self, error: Exception) -> None:
-        super().__init__()
-        self.error, self.tried = error, 0
-
-    def isatty(self) -> bool:
-        return True
-
-    def write(self, text: str) -> int:
-        self.tried += 1
-        raise type(self.error)(*self.error.args)  # afresh: a traceback holds the SNES
-
-
 @pytest.mark.parametrize(
     "error",
     [
@@ -133,10 +131,9 @@ class NoTerminal(io.StringIO):
     ],
     ids=lambda error: type(error).__name__,
 )
-def test_terminal_of_the_first_process(error, played, monkeypatch):
-    """The run goes on without the bar."""
-    screen = NoTerminal(error)
-    monkeypatch.setattr("dolfinx_feti.loading.progress.sys", SimpleNamespace(stderr=screen))
+def test_terminal_of_the_first_process(error, played, open_terminal):
+    """The run goes on without the bar, if it cannot be written."""
+    screen = open_terminal(error=error)
     steps = played(cost=lambda increment: 2).follow([1.0], Steps(first=0.2, least=0.1))
     agree(steps[-1].load == 1.0 and (screen.tried > 0) == (COMM.rank == 0))
     # A thread of tqdm's would wait at exit for the lock that a failed write has left.
@@ -146,7 +143,7 @@ def test_terminal_of_the_first_process(error, played, monkeypatch):
 # -- the log
 
 
-def test_a_line_for_each_load_step(played, caplog):
+def test_a_line_for_each_load_step(played, open_terminal, caplog):
     """On the first process; a failed attempt has a line of its own."""
     caplog.set_level("INFO", logger="dolfinx_feti")
     problem = played(

@@ -228,24 +228,6 @@ def test_where_something_else_is(u, tmp_path, place, kind, match):
     agree(place.endswith("/") or (tmp_path / place).read_text() == "mine")
 
 
-# -- writable_folder
-
-
-def test_a_folder_is_made_with_those_above_it(tmp_path):
-    wanted = tmp_path / "a/b"
-    for path in (wanted, str(wanted)):  # twice: it may be there
-        agree(writable_folder(path, COMM) == wanted)
-    agree(wanted.is_dir() and not list(wanted.iterdir()))
-
-
-@pytest.mark.parametrize("path", ["notes", "notes/below"])
-def test_no_folder_in_place_of_a_file(tmp_path, path):
-    on_first(lambda: (tmp_path / "notes").write_text("mine"))
-    with raises(OSError, rf"folder .*{path} cannot be written \(.*\): choose another one"):
-        writable_folder(tmp_path / path, COMM)
-    agree((tmp_path / "notes").read_text() == "mine")
-
-
 def test_a_full_disk_reaches_all(tmp_path, monkeypatch):
     """Only the first process meets it."""
 

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from mpi4py import MPI
 
 import numpy as np
@@ -20,14 +18,7 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.mechanics.kinematics import stress_magnitude
-from dolfinx_feti.output import (
-    FieldWriter,
-    Patches,
-    balanced_stress,
-    create_patches,
-    recovered_field,
-)
+from dolfinx_feti.output import Patches, balanced_stress, create_patches, recovered_field
 from meshes.bricks import create_brick_tube
 
 Array = npt.NDArray[np.float64]
@@ -207,22 +198,6 @@ def test_with_a_normal_means_count_along_the_wall_only():
     inside = nodes(recovered_field(wrong, patches), mesh) - exact
     equal(error[..., 1, :], inside[..., 1, :], 1e-10)
     agree(whole(np.abs(inside[..., 0, 0]).ravel()).max() > 0.1)
-
-
-def test_all_are_written(tmp_path: Path):
-    """A stress, its principal values, as in the docs, and a component."""
-    mesh = mesh_of(3)
-    patches, jump = patches_of(mesh)
-    stress = recovered_field(linear(mesh, jump), patches, name="stress")
-    space = dolfinx.fem.functionspace(mesh, ("DG", 2, (3,)))
-    principal = dolfinx.fem.Function(space, name="principal")
-    principal.x.array[:] = np.linalg.eigvalsh(stress.x.array.reshape(-1, 3, 3)).ravel()
-    equal(nodes(principal, mesh).sum(axis=2), nodes(ufl.tr(stress), mesh), ROUNDING)
-    x = ufl.SpatialCoordinate(mesh)
-    parts = {"radial": ufl.inner(x, stress * x) / ufl.inner(x, x), "size": stress_magnitude(stress)}
-    with FieldWriter(tmp_path / "wall", [stress, principal], parts) as writer:
-        writer.write(0.0)
-    agree(writer.path.exists())
 
 
 # -- what is refused

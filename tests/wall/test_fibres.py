@@ -21,7 +21,16 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.runtime.petsc_options import inserted
-from dolfinx_feti.wall import area, facets, fibres, read_wall
+from dolfinx_feti.wall import (
+    Clamp,
+    Pressure,
+    Slide,
+    apply_conditions,
+    area,
+    facets,
+    fibres,
+    read_wall,
+)
 from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame, gradient, solve_laplace
 from dolfinx_feti.wall.wallfile import read_raw_wall
 from meshes.tube import create_tube
@@ -77,6 +86,22 @@ def is_frame(frame):
         equal(np.linalg.norm(e, axis=1), np.ones(len(e)), 1e-14)
     agree(np.abs(np.sum(e1 * e2, axis=1)).max(initial=0) < 1e-13)
     equal(np.cross(e0, e1), e2, 1e-13)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e-9, 1e6])
+def test_nothing_depends_on_the_unit_of_length(tmp_path, scale):
+    """A wall in metres is as good as one in millimetres."""
+    path, mesh = tmp_path / "wall.msh", on_first(lambda: read_raw_wall(EXAMPLE))
+    on_first(lambda: write_msh(path, replace(mesh, points=scale * mesh.points)))
+    wall, same = read_wall(path, COMM), read_wall(EXAMPLE, COMM)
+    for name in same.surfaces:
+        equal(area(wall, name) / scale**2, area(same, name), 1e-9)
+    for e, expected in zip(*(directions(fibre_frame(w)) for w in (wall, same)), strict=True):
+        small(np.abs(by_number(wall, e) - by_number(same, expected)).max(), 1e-6)
+    V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 1, (3,)))
+    conditions = {"lumen": Pressure(), "opening_1": Clamp(), "opening_2": Slide()}
+    boundary = apply_conditions(wall, dolfinx.fem.Function(V), conditions, axis="z")
+    agree(boundary.energy is not None, "the pressure has a potential")
 
 
 def test_surfaces_by_other_names(tmp_path):
@@ -294,15 +319,6 @@ def test_no_direction_anywhere(tmp_path):
 
 
 # -- a wall of one's own, end to end
-
-
-def test_the_example():
-    wall = read_wall(EXAMPLE, COMM)
-    frame = fibre_frame(wall)
-    is_frame(frame)
-    agree(worst(degrees(vectors(frame.circumferential), cylindrical(wall)[0])) < 6)
-    a, b = (vectors(f) for f in fibre_families(wall, frame))
-    agree(np.all(np.abs(np.sum(a * b, axis=1)) < 1))
 
 
 def test_the_readmes_gmsh_example(tmp_path, monkeypatch):

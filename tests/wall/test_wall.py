@@ -11,17 +11,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from broken_walls import BROKEN, EXAMPLE
 from collective import COMM, agree, equal, raises, whole
 from wall_files import ROOT, centroids, on_first, tube
 
 import dolfinx
 
-from dolfinx_feti.wall import area, by_layer, facets, openings, read_wall
+from dolfinx_feti.wall import area, by_layer, facets, openings, read_case, read_wall
 from dolfinx_feti.wall.wall import plane
 from dolfinx_feti.wall.wallfile import read_raw_wall
 from meshes.wall_mesh import TAGS, write_msh
 
-EXAMPLE = ROOT / "meshes/example.msh"
 GROUPS = {name: (3 if tag < 3 else 2, tag) for name, tag in TAGS.items()}
 AROUND, LENGTH, RADII = 14, 1.0, np.array([0.71, 0.97, 1.10])
 ANGLE = 2 * np.pi / AROUND
@@ -67,26 +67,21 @@ def test_every_exterior_facet_has_its_surface(wall):
     exterior = dolfinx.mesh.exterior_facet_indices(wall.mesh.topology)
     tagged = wall.facet_tags.indices
     agree(np.array_equal(np.sort(tagged[np.isin(tagged, exterior)]), np.sort(exterior)))
+    side, ring = 2 * np.sin(ANGLE / 2) * AROUND * LENGTH, AROUND * np.sin(ANGLE) / 2
     for name, r in (("lumen", RADII[0]), ("outer", RADII[2])):
         x = dolfinx.mesh.compute_midpoints(wall.mesh, 2, facets(wall, name))
-        r_mid = np.linalg.norm(x[:, :2], axis=1)
-        agree(np.all(np.abs(r_mid / r - 1) < 0.05), name)
+        agree(np.all(np.abs(np.linalg.norm(x[:, :2], axis=1) / r - 1) < 0.05), name)
+        equal(area(wall, name), side * r, 1e-9)
     for name, z in (("opening_1", 0.0), ("opening_2", LENGTH)):
-        x = dolfinx.mesh.compute_midpoints(wall.mesh, 2, facets(wall, name))
-        agree(np.all(x[:, 2] == z), name)
-
-
-def test_areas(wall):
-    lumen, outer = 2 * RADII[[0, 2]] * np.sin(ANGLE / 2) * AROUND * LENGTH
-    ring = AROUND * np.sin(ANGLE) / 2 * (RADII[2] ** 2 - RADII[0] ** 2)
-    found = [area(wall, name) for name in ("lumen", "outer", "opening_1", "opening_2")]
-    equal(found, [lumen, outer, ring, ring], 1e-9)
+        agree(plane(wall, name) == (2, z), name)
+        equal(area(wall, name), ring * (RADII[2] ** 2 - RADII[0] ** 2), 1e-9)
+    with raises(ValueError, "'lumen' lies in no plane normal to x, y or z .*turn the mesh, or"):
+        plane(wall, "lumen")
 
 
 def test_names(wall):
-    agree(wall.layers == {"media": 1, "adventitia": 2})
-    agree(wall.names == {k: TAGS[k] for k in wall.names} and len(wall.names) == 6)
-    agree(openings(wall) == ["opening_1", "opening_2"])
+    agree(wall.layers == {"media": 1, "adventitia": 2} and len(wall.names) == 6)
+    agree(wall.names == {k: TAGS[k] for k in wall.names})
     with raises(ValueError, "no surface 'lume'; it has lumen, outer"):
         facets(wall, "lume")
 
@@ -184,13 +179,6 @@ def test_numbers_that_have_no_names(tmp_path, raw):
     agree(other.surfaces == {f"surface_{k}": k for k in (3, 11, 12, 400)}, other.surfaces)
 
 
-def test_planes(wall):
-    """The ends of the tube are normal to z; the lumen is not plane."""
-    agree(plane(wall, "opening_1") == (2, 0.0) and plane(wall, "opening_2") == (2, LENGTH))
-    with raises(ValueError, "'lumen' lies in no plane normal to x, y or z .*turn the mesh, or"):
-        plane(wall, "lumen")
-
-
 def test_loose_points_do_no_harm(tmp_path, wall, raw):
     points = np.vstack([[[9.0, 9, 9]], raw.points, [[8.0, 8, 8]]])
     moved = replace(raw, points=points, cells=raw.cells + 1, facets=raw.facets + 1)
@@ -227,6 +215,18 @@ def test_missing_package(tmp_path, monkeypatch, package, name):
     monkeypatch.setitem(sys.modules, package, None)
     with raises(ModuleNotFoundError, f"package {package}, .*pip install {package}"):
         read_wall(tmp_path / name, COMM)
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken(tmp_path, name):
+    """The error names the file, in one line."""
+    write, match = BROKEN[name]
+    path = on_first(lambda: write(tmp_path))
+    with pytest.raises((ValueError, OSError)) as caught:
+        (read_case if path.suffix == ".toml" else read_wall)(path, COMM)
+    agree(name in str(caught.value), caught.value)
+    with raises(type(caught.value), match):
+        raise caught.value
 
 
 def test_disk_errors_reach_all(tmp_path, monkeypatch):
