@@ -21,8 +21,7 @@ import hand_torn
 import numpy as np
 import primal_form
 import pytest
-from collective import agree
-from garbage import garbage
+from collective import agree, garbage
 from problems import Problem, torn
 
 import dolfinx

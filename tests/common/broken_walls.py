@@ -14,13 +14,12 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-from wall_files import ROOT
+from wall_files import EXAMPLE, ROOT
 
 from dolfinx_feti.wall import read_wall, write_wall
 from dolfinx_feti.wall.wallfile import RawWall, read_raw_wall
 from meshes.wall_mesh import write_msh
 
-EXAMPLE = ROOT / "meshes/example.msh"
 CASE = (ROOT / "demos/wall.toml").read_text(encoding="utf-8")
 
 #: A file writer under the name of the file, and what the error has to say.

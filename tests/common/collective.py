@@ -1,11 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What tests on several processes need: asserts that fail on all of them, and whole matrices."""
+"""What tests on several processes need: asserts that fail on all, whole matrices, what is left."""
 
 from __future__ import annotations
 
+import ctypes
+import os
 import re
+import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -111,3 +115,23 @@ def matrix_of_map(apply: Callable[[Array], Array], n: int) -> Array:
     mine = np.arange(last - n, last)
     columns = [apply((mine == j).astype(np.float64)) for j in range(COMM.allreduce(n))]
     return whole(np.column_stack(columns))
+
+
+def garbage(comm: MPI.Comm) -> str:
+    """Return PETSc's own list of objects that processes have to end together; empty without any."""
+    sys.stdout.flush()
+    with tempfile.TemporaryFile() as file:
+        screen = os.dup(1)
+        os.dup2(file.fileno(), 1)
+        try:
+            PETSc.garbage_view(comm)
+            PETSc.Sys.syncFlush(comm)
+            ctypes.CDLL(None).fflush(None)
+        finally:
+            os.dup2(screen, 1)
+            os.close(screen)
+        file.seek(0)
+        text = file.read().decode()
+    text = comm.bcast(text)
+    entries = sum(map(int, re.findall(r"Total entries: (\d+)", text)))
+    return text if entries else ""

@@ -1,17 +1,22 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A path with checkpoints, as a program that tests start and kill.
+"""Programs that tests start: a path with checkpoints, which is killed, and two cubes that are cut.
 
     python3 path_run.py equilibria|inertia FOLDER [STEPS RANK]
+    mpirun -n 2 python3 path_run.py cut FILE
 
 The block that is one scalar goes through time with all that there is, or on from the checkpoint
 in the folder, and writes what it has found to `FOLDER.npz`. After so many of its 60 steps, such as
 3.7, one process kills itself: four steps are balanced then, and 0.3 of the time of a step is over.
+
+The cubes are alike. The file has for each, and for each of ``SEEDS``, the process and subdomain of
+each cell, by the cells of the mesh before it was distributed.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import sys
@@ -23,10 +28,12 @@ from mpi4py import MPI
 
 import numpy as np
 from one_scalar import Block, Law
+from problems import cube
 
+from dolfinx_feti.fem.decomposition import decompose
 from dolfinx_feti.loading import Checkpoint
 
-COMM = MPI.COMM_WORLD
+COMM, SEEDS = MPI.COMM_WORLD, (0, 0, 1)
 
 
 def run_block(kind: str, folder: Path, steps: str = "inf", rank: str = "0") -> None:
@@ -49,6 +56,23 @@ def run_block(kind: str, folder: Path, steps: str = "inf", rank: str = "0") -> N
         np.savez(folder.with_suffix(".npz"), found=found, path=[step.load for step in path])
 
 
+def parts(subdomains: int) -> list[list[list[int]]]:
+    """Return the (cell, process, subdomain) of all cells of a cube, for each seed."""
+    mesh = cube(3, 8)
+    cell = mesh.topology.original_cell_index[: mesh.topology.index_map(3).size_local]
+    found = []
+    for seed in SEEDS:
+        part = decompose(mesh, subdomains, seed=seed).subdomain
+        rows = np.stack([cell, np.full(len(cell), COMM.rank), part], axis=1)
+        found.append(sorted(np.concatenate(COMM.allgather(rows)).tolist()))
+    return found
+
+
 if __name__ == "__main__":
     kind, place, *rest = sys.argv[1:]
-    run_block(kind, Path(place), *rest)
+    if kind != "cut":
+        run_block(kind, Path(place), *rest)
+    else:
+        written = [parts(12), parts(12)]
+        if COMM.rank == 0:
+            Path(place).write_text(json.dumps(written))

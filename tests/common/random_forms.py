@@ -25,6 +25,7 @@ from dolfinx_feti.fem.quadrature import limit_quadrature_degree
 
 Cell = dolfinx.mesh.CellType
 CELLS = ("interval", "triangle", "quadrilateral", "tetrahedron", "hexahedron", "prism")
+SIMPLICES = ("triangle", "tetrahedron")
 element = basix.ufl.element
 
 
@@ -69,7 +70,7 @@ class Grammar:
         self.cell, self.gdim = cell, self.mesh.geometry.dim
         self.text = [f"seed {seed}", cell + " curved" * is_curved]
         self.degree: int | None = None  # of quadrature elements
-        self.V = self.space(self.unknown())
+        self.V = dolfinx.fem.functionspace(self.mesh, self.unknown())
         # UFL's estimate may need a hundred thousand points
         self.form = limit_quadrature_degree(self.draw(int(self.rng.integers(3))), 6)
 
@@ -81,67 +82,46 @@ class Grammar:
     def chance(self, p: float) -> bool:
         return bool(self.rng.random() < p)
 
+    def drawn(self, kinds: Sequence) -> object:
+        """An element by family, degree, shape and symmetry, or what a call returns."""
+        kind = self.one(kinds)
+        if callable(kind):
+            return kind()
+        family, degree, shape, symmetry = (*kind, None, None)[:4]
+        return element(family, self.cell, degree, shape=shape, symmetry=symmetry)
+
     def unknown(self) -> object:
         cell, g = self.cell, self.gdim
-        kinds = [
-            lambda: element("Lagrange", cell, 1),
-            lambda: element("Lagrange", cell, 2),
-            lambda: element("Lagrange", cell, 1, shape=(g,)),
-            lambda: element("Lagrange", cell, 2 if g < 3 else 1, shape=(g,)),
-            lambda: element("Lagrange", cell, 1, shape=(2,)),
-        ]
+        kinds: list = [("Lagrange", 1), ("Lagrange", 2), ("Lagrange", 1, (g,))]
+        kinds += [("Lagrange", 2 if g < 3 else 1, (g,)), ("Lagrange", 1, (2,))]
         if cell != "prism":
-            kinds.append(lambda: element("Lagrange", cell, 3 if g < 3 else 2))
-            kinds.append(lambda: element("Lagrange", cell, 1, shape=(g, g), symmetry=g > 1))
-        if cell in ("triangle", "tetrahedron"):
+            kinds += [("Lagrange", 3 if g < 3 else 2), ("Lagrange", 1, (g, g), g > 1)]
+        if cell in SIMPLICES:
             kinds.append(self.with_bubbles)
-        return self.one(kinds)()
+        return self.drawn(kinds)
 
     def with_bubbles(self) -> object:
         parts = [element("Lagrange", self.cell, 1), element("Bubble", self.cell, self.gdim + 1)]
         return basix.ufl.blocked_element(basix.ufl.enriched_element(parts), shape=(self.gdim,))
 
-    def space(self, e: object) -> dolfinx.fem.FunctionSpace:
-        return dolfinx.fem.functionspace(self.mesh, e)
-
     def element(self) -> object:
         """The element of a coefficient."""
         cell, g = self.cell, self.gdim
         k = int(self.rng.integers(1, 3))
-        kinds: list[Callable[[], object]] = [
-            lambda: element("Lagrange", cell, k),
-            lambda: element("Lagrange", cell, k, shape=(g,)),
-            lambda: element("Lagrange", cell, 1, shape=(g, g)),
-            lambda: element("DG", cell, 0),
-            lambda: element("DG", cell, k, shape=(2,)),
-            lambda: element("DG", cell, 0, shape=(g, g)),
-            lambda: element(
-                "Lagrange", cell, k, basix.LagrangeVariant.legendre, discontinuous=True
-            ),
-            self.quadrature,
-        ]
+        variant = basix.LagrangeVariant.legendre
+        kinds: list = [("Lagrange", k), ("Lagrange", k, (g,)), ("Lagrange", 1, (g, g))]
+        kinds += [("DG", 0), ("DG", k, (2,)), ("DG", 0, (g, g))]
+        kinds.append(lambda: element("Lagrange", cell, k, variant, discontinuous=True))
+        kinds.append(self.quadrature)
         if g > 1:
-            kinds.append(lambda: element("Lagrange", cell, 1, shape=(g, g), symmetry=True))
-            kinds.append(lambda: element("DG", cell, 0, shape=(g, g), symmetry=True))
-        if cell in ("triangle", "tetrahedron"):
-            kinds += [
-                lambda: element("RT", cell, k),
-                lambda: element("N1curl", cell, k),
-                lambda: element("BDM", cell, 1),
-                lambda: element("CR", cell, 1),
-                lambda: element("Lagrange", cell, 3),
-                lambda: element("iso", cell, 4 - g),
-                lambda: element("Regge", cell, 1),
-                self.with_bubbles,
-            ]
+            kinds += [("Lagrange", 1, (g, g), True), ("DG", 0, (g, g), True)]
+        if cell in SIMPLICES:
+            kinds += [("RT", k), ("N1curl", k), ("BDM", 1), ("CR", 1), ("Lagrange", 3)]
+            kinds += [("iso", 4 - g), ("Regge", 1), self.with_bubbles]
         if cell in ("quadrilateral", "hexahedron"):
-            kinds += [
-                lambda: element("RTCF" if g == 2 else "NCF", cell, 1),
-                lambda: element("RTCE" if g == 2 else "NCE", cell, 1),
-                lambda: element("DPC", cell, 1),
-                lambda: element("S", cell, 2),
-            ]
-        return self.one(kinds)()
+            kinds += [("RTCF" if g == 2 else "NCF", 1), ("RTCE" if g == 2 else "NCE", 1)]
+            kinds += [("DPC", 1), ("S", 2)]
+        return self.drawn(kinds)
 
     def quadrature(self) -> object:
         self.degree = self.degree or int(self.rng.integers(1, 4))
@@ -157,13 +137,13 @@ class Grammar:
             parts.append(element("DG", cell, 0, shape=(2,)))
         if self.chance(0.3):
             parts[1] = basix.ufl.mixed_element([parts[1], element("DG", cell, 0)])
-        if cell in ("triangle", "tetrahedron") and self.chance(0.3):
+        if cell in SIMPLICES and self.chance(0.3):
             parts[0] = element("RT", cell, 1)
         return basix.ufl.mixed_element(parts)
 
     def function(self, e: object) -> dolfinx.fem.Function:
         """A Function with numbers that its global dofs tell."""
-        f = dolfinx.fem.Function(self.space(e))
+        f = dolfinx.fem.Function(dolfinx.fem.functionspace(self.mesh, e))
         dofmap = f.function_space.dofmap
         bs, m = dofmap.index_map_bs, dofmap.index_map
         blocks = m.local_to_global(np.arange(m.size_local + m.num_ghosts, dtype=np.int32))
@@ -199,6 +179,10 @@ class Grammar:
             return w.sub(i).collapse(), True
         return w.sub(i), True
 
+    def component(self, f: Expr) -> Expr:
+        """A scalar of a tensor of any rank."""
+        return f[tuple(int(self.rng.integers(n)) for n in f.ufl_shape)] if f.ufl_shape else f
+
     def atom(self) -> Expr:
         """A scalar expression of one coefficient."""
         f, smooth = self.coefficient()
@@ -212,7 +196,7 @@ class Grammar:
             return self.one([ufl.tr, ufl.det])(f) if f.ufl_shape[0] > 1 else f[0, 0]
         if self.chance(0.3):
             return ufl.inner(f, f)
-        return f[tuple(int(self.rng.integers(n)) for n in f.ufl_shape)]
+        return self.component(f)
 
     def scalar(self, depth: int = 2) -> Expr:
         """A scalar expression."""
@@ -294,8 +278,7 @@ class Grammar:
     def derived(self, rank: int, v: ufl.Argument, u: ufl.Argument) -> ufl.Form:
         """The derivative of an energy."""
         self.text.append("derived")
-        w = self.function(self.V.ufl_element())
-        w = dolfinx.fem.Function(self.V, w.x)
+        w = dolfinx.fem.Function(self.V, self.function(self.V.ufl_element()).x)
         s = ufl.inner(ufl.grad(w), ufl.grad(w)) + self.scalar(1) * ufl.inner(w, w)
         energy = self.one([lambda s: ufl.ln(2 + s**2), lambda s: s**2, lambda s: ufl.sqrt(1 + s)])(
             s if self.chance(0.5) else s * s / 4 + 1
@@ -305,15 +288,13 @@ class Grammar:
         return F if rank == 1 else ufl.derivative(F, w, u)
 
     def term(self, rank: int, v: ufl.Argument, u: ufl.Argument) -> Expr:
-        c, shape = self.scalar(), self.V.value_shape
+        c = self.scalar()
         if rank == 0:
             return c
-        at = tuple(int(self.rng.integers(n)) for n in shape)
-        first = v[at] if at else v
+        first = self.component(v)
         if rank == 1:
             return c * self.one([first, first.dx(int(self.rng.integers(self.gdim)))])
-        other = tuple(int(self.rng.integers(n)) for n in shape)
-        second = u[other] if other else u
+        second = self.component(u)
         j = int(self.rng.integers(self.gdim))
         choices = [
             lambda: c * ufl.inner(u, v),
@@ -322,7 +303,7 @@ class Grammar:
             lambda: c * second.dx(j) * first,
             lambda: c * first.dx(j) * second,
         ]
-        if shape == (self.gdim,):
+        if self.V.value_shape == (self.gdim,):
             choices += [
                 lambda: c * ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(v)) + ufl.div(u) * ufl.div(v),
                 lambda: ufl.inner(

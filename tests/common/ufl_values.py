@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Numbers from UFL: expressions of constants without a mesh, forms with one."""
+"""Numbers from UFL: expressions of constants without a mesh, forms with one, kernels of cells."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
+from collective import dense
 
 import dolfinx
+import dolfinx.fem.petsc
 import ufl
 from ufl.core.expr import Expr
 
@@ -33,3 +35,34 @@ def scalar(form: ufl.Form, *functions: dolfinx.fem.Function) -> float:
     for function in functions:
         form = ufl.action(form, function)
     return comm.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(form)))
+
+
+def assembled(form: ufl.Form) -> np.ndarray:
+    """Dolfinx's scalar, or vector, or dense matrix, of this process."""
+    compiled = dolfinx.fem.form(form)
+    if len(form.arguments()) == 2:
+        matrix = dolfinx.fem.petsc.assemble_matrix(compiled)
+        matrix.assemble()
+        values = dense(matrix)
+        matrix.destroy()
+        return values
+    if form.arguments():
+        return np.asarray(dolfinx.fem.assemble_vector(compiled).array)
+    return np.array([dolfinx.fem.assemble_scalar(compiled)])
+
+
+def summed(form: ufl.Form, values: np.ndarray) -> np.ndarray:
+    """What a kernel has computed of a form, added to dense arrays, as in ``assembled``."""
+    if not form.arguments():
+        return values.sum(keepdims=True)
+    sizes, dofs = [], []
+    for argument in form.arguments():
+        V = argument.ufl_function_space()
+        bs = V.dofmap.index_map_bs
+        blocks = V.dofmap.list[: len(values), :, None] * bs + np.arange(bs)
+        dofs.append(blocks.reshape(len(values), -1))
+        sizes.append((V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts) * bs)
+    whole = np.zeros(sizes)
+    where = dofs[0] if len(dofs) == 1 else (dofs[0][:, :, None], dofs[1][:, None, :])
+    np.add.at(whole, where, values)
+    return whole

@@ -26,6 +26,7 @@ T = TypeVar("T")
 
 COMM = MPI.COMM_WORLD
 ROOT = Path(__file__).parents[2]
+DEMOS, EXAMPLE = ROOT / "demos", ROOT / "meshes/example.msh"
 
 
 def on_first(make: Callable[[], T]) -> T:

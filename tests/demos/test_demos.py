@@ -6,19 +6,22 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
+import runpy
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from petsc4py import PETSc
 
 import numpy as np
 import pytest
 from collective import COMM, agree, raises, small
-from demo_runs import DEMOS, EXAMPLE, check_pictures, read_summary
-from wall_files import ROOT, on_first
+from wall_files import DEMOS, EXAMPLE, ROOT, on_first
 
 from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.wall.wallfile import read_raw_wall
@@ -50,6 +53,39 @@ ALONE = {
 }
 SHARING = ("demo_balloon.py", "demo_classical_vs_all_floating.py", "demo_own_material.py")
 LEAST = ["--mesh", str(EXAMPLE), *"--degree 1 --pressure 0.5 --steps 1 --subdomains 4".split()]
+
+
+@pytest.fixture
+def run(monkeypatch) -> Iterator[Callable[..., dict[str, Any]]]:
+    """Run a demo as a script on the processes of this test; return its variables."""
+    known = set(sys.modules)
+    monkeypatch.syspath_prepend(str(DEMOS))
+
+    def script(name: str, *arguments: object) -> dict[str, Any]:
+        path = str(DEMOS / name)
+        monkeypatch.setattr(sys, "argv", [path, *map(str, arguments)])
+        return runpy.run_path(path, run_name="__main__")
+
+    yield script
+    for name in set(sys.modules) - known:
+        if DEMOS in Path(getattr(sys.modules[name], "__file__", None) or "/").parents:
+            del sys.modules[name]
+
+
+def read_summary(folder: Path) -> dict[str, Any]:
+    return on_first(lambda: json.loads((folder / "summary.json").read_text()))
+
+
+def check_pictures(folder: Path, *names: str, height: int = 500, width: int = 800) -> None:
+    """Each is there, large enough to look at, and not of one colour."""
+    from matplotlib.image import imread
+
+    def look() -> list[tuple[float, ...]]:
+        images = [imread(folder / name) for name in names]
+        return [(float(np.ptp(image)), *image.shape[:2]) for image in images]
+
+    found = on_first(look)
+    agree(all(range_ > 0.5 and h > height and w > width for range_, h, w in found), found)
 
 
 def run_alone(*command: str) -> tuple[int, str]:

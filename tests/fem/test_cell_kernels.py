@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from cell_values import assembled, summed
 from collective import COMM, agree, equal
 from problems import Cell, cube
+from ufl_values import assembled, summed
 
 import basix.ufl
 import dolfinx

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from cell_values import assembled, summed
 from collective import COMM, agree, equal
 from problems import Cell, cube
+from ufl_values import assembled, summed
 
 import dolfinx
 import ufl

@@ -20,8 +20,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from cases import each
-from collective import COMM, agree
-from garbage import garbage
+from collective import COMM, agree, garbage
 from hand_torn import random_values, unsymmetric
 
 import dolfinx_feti

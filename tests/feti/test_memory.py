@@ -13,8 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from cases import case, each, every_type
-from collective import COMM, agree
-from garbage import garbage
+from collective import COMM, agree, garbage
 from hand_torn import nowhere
 from problems import cube, elasticity, poisson, torn
 

@@ -10,8 +10,7 @@ import re
 
 import pytest
 from collective import COMM, agree, equal, raises
-from demo_runs import DEMOS, EXAMPLE
-from wall_files import ROOT, on_first
+from wall_files import DEMOS, EXAMPLE, ROOT, on_first
 
 import dolfinx
 

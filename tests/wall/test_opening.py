@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small
-from demo_runs import EXAMPLE
+from wall_files import EXAMPLE
 
 import ufl
 
