@@ -88,20 +88,13 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
         raise ValueError(f"--path takes no other solvers than {', '.join(path.SOLVERS)}")
     if args.path is not None and "feti" not in solvers:
         raise ValueError("--path needs feti among the --solvers: Newton's method goes on with it")
+    shared = {"geometry": args.geometry, "degree": args.degree, "processes": comm.size}
+    shared |= {"threads": threads(), "path_mmhg": args.path, "loaded_mmhg": args.loaded}
     kappas = [None] if args.geometry in ("cube", "square", "heat") else args.kappa
     for dofs, kappa, per in product(args.dofs, kappas, args.per):
         number = args.subdomains if per is None else max(comm.size, round(dofs / per))
-        yield {
-            "geometry": args.geometry,
-            "degree": args.degree,
-            "kappa": kappa,
-            "wanted_dofs": dofs,
-            "wanted_subdomains": number,
-            "processes": comm.size,
-            "threads": threads(),
-            "path_mmhg": args.path,
-            "loaded_mmhg": args.loaded,
-        } | ({} if per is None else {"per": per})
+        case = {"kappa": kappa, "wanted_dofs": dofs, "wanted_subdomains": number}
+        yield shared | case | ({} if per is None else {"per": per})
 
 
 def _done(case: Record, records: Records, args: Arguments) -> bool:

@@ -27,11 +27,8 @@ from benchmarks.common.cube import Case, create_problem, l2_error, solve
 from benchmarks.common.pages import FORMS, groups, section
 from benchmarks.common.records import Record
 from benchmarks.common.study import Arguments, Keep, Study
+from benchmarks.common.walls.first_step import PRECONDITIONERS, TYPES
 from dolfinx_feti.comparison import PeakMemory
-
-TYPES = {"all_floating": "all-floating", "classical": "classical"}
-
-PRECONDITIONERS = ("identity", "lumped", "dirichlet")
 
 LEVELS = (1, 2, 3, 4)
 

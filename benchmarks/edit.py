@@ -199,9 +199,8 @@ def _fields(records: Sequence[Record]) -> Fields:
     found: dict[str, Any] = {"rows": rows, "edits": max(int(str(r["edit"])) for r in records)}
     for name in ("first", "again"):
         keys = [f"{given}_{name}_ratio" for given in ("residual", "energy")]
-        ratios = [row[key] for row in rows for key in keys if key in row]
-        found[f"{name}_least"] = min(ratios, default=None)
-        found[f"{name}_most"] = max(ratios, default=None)
+        ratios = [row[key] for row in rows for key in keys if key in row] or [math.nan]
+        found |= {f"{name}_least": min(ratios), f"{name}_most": max(ratios)}
     return found
 
 

@@ -153,17 +153,14 @@ def _newton_step(records: Sequence[Record]) -> dict[str, object]:
     """Return a Newton step on one wall, in the paper and here, with both choices."""
     first = records[0]
     layers, degree = int(first["layers"]), int(first["degree"])
-    by_case = {(r["type"], r["kappa"], r["pc"], r["choices"]): r for r in records}
     rows = []
-    for case in product(TYPES, sorted({r["kappa"] for r in records}), PRECONDITIONERS):
-        ours = {name: by_case.get((*case, name)) for name in CHOICES}
-        if any(ours.values()):
-            row = {"kind": TYPES[case[0]], "kappa": case[1], "pc": case[2]}
-            if theirs := paper.NONLINEAR.get((layers, degree, *case)):
-                its, seconds = theirs
-                its = FORMS["count"](its) if its else "> 10 000"
-                row |= {"their_its": its, "their_seconds": seconds}
-            rows.append(row | {name: _cells(r) for name, r in ours.items()})
+    for (kind, kappa, pc), mine in groups(records, "type", "kappa", "pc"):
+        place = list(TYPES).index(kind), kappa, PRECONDITIONERS.index(pc)
+        row = _named(mine[0]) | {"place": place} | {str(r["choices"]): _cells(r) for r in mine}
+        if theirs := _papers(mine[0]):
+            its, row["their_seconds"] = theirs
+            row["their_its"] = FORMS["count"](its) if its else "> 10 000"
+        rows.append(row)
     return first | {
         "artery": ARTERIES[layers],
         "wall": LAYERS[layers],
@@ -171,30 +168,28 @@ def _newton_step(records: Sequence[Record]) -> dict[str, object]:
         "their_dofs": paper.DOFS[layers, degree],
         "their_subdomains": paper.SUBDOMAINS[layers, degree],
         "compared": list(_compared(records, "choices")),
-        "rows": rows,
+        "rows": sorted(rows, key=lambda row: row["place"]),
     }
 
 
 def _compared(records: Sequence[Record], *names: str) -> Iterator[Record]:
     """Yield, for each value of some parameters, iterations over the paper's of the same case."""
-    for _, mine in sorted(groups(records, *names), key=lambda item: item[0], reverse=True):
-        ratios = [r["linear_iterations_mean"] / its for r in mine if (its := _their_iterations(r))]
-        if ratios:
-            more = sum(ratio > 1 for ratio in ratios)
-            found = {"least": min(ratios), "most": max(ratios), "more": more, "of": len(ratios)}
-            yield _named(mine[0]) | found
+    known = [r for r in records if "failure" not in r and (_papers(r) or [None])[0]]
+    for _, mine in sorted(groups(known, *names), key=lambda item: item[0], reverse=True):
+        ratios = [r["linear_iterations_mean"] / _papers(r)[0] for r in mine]
+        more = sum(ratio > 1 for ratio in ratios)
+        found = {"least": min(ratios), "most": max(ratios), "more": more, "of": len(ratios)}
+        yield _named(mine[0]) | found
 
 
-def _their_iterations(record: Record) -> int | None:
-    """Return the paper's iterations for a case, if it has them, and this one did not fail."""
+def _papers(record: Record) -> tuple[int | None, float | None] | None:
+    """Return iterations and seconds of the paper for a case, or None."""
     case = tuple(record[name] for name in ("layers", "degree", "type", "kappa", "pc"))
-    return None if "failure" in record else paper.NONLINEAR.get(case, (None,))[0]
+    return paper.NONLINEAR.get(case)
 
 
-def _cells(record: Record | None) -> dict[str, object]:
-    """Return mean iterations, those of each step, and seconds; or what was missing."""
-    if record is None:
-        return {}
+def _cells(record: Record) -> Record:
+    """Return mean iterations, those of each step, and seconds; or that it failed."""
     if "failure" in record:
         return {"its": "failed"}
     steps = ", ".join(map(str, record["linear_iterations_per_newton"]))

@@ -109,23 +109,13 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
         command.say("\n".join(predict(known, *args.predict)), comm)
         return
     _check(args)
+    shared = {name: getattr(args, name) for name in ("geometry", "size", "subdomains")}
+    shared |= {"study": "scaling", "degree": 1, "kappa": 100.0}
     for task in args.task:
         numbers = args.choices, args.layers, _processes(args, task)
         for choices, layers, processes in itertools.product(*numbers):
-            yield {
-                "study": "scaling",
-                "task": task,
-                "geometry": args.geometry,
-                "size": args.size,
-                "layers": layers,
-                "degree": 1,
-                "kappa": 100.0,
-                "type": TYPES[layers],
-                "pc": PC[choices],
-                "choices": choices,
-                "subdomains": args.subdomains,
-                "processes": processes,
-            }
+            case = {"task": task, "layers": layers, "choices": choices, "processes": processes}
+            yield shared | case | {"type": TYPES[layers], "pc": PC[choices]}
 
 
 def _processes(args: Arguments, task: str) -> Sequence[int]:
@@ -200,9 +190,14 @@ class _Series:
         return section(rows, **(first | self.names | fields))
 
     @property
+    def dofs(self) -> int:
+        """The paper's."""
+        return paper.DOFS[self.layers, 1]
+
+    @property
     def refined(self) -> float:
         """The paper's dofs over those of the model's mesh."""
-        return paper.DOFS[self.layers, 1] / self.model.base["dofs"]
+        return self.dofs / self.model.base["dofs"]
 
     @property
     def names(self) -> dict[str, str]:
@@ -218,11 +213,7 @@ def _fields(records: Sequence[Record]) -> Fields:
     return {
         "cluster": CLUSTER,
         "measured": [part for s in every for part in s.section(_times(s))],
-        "modelled": [
-            part
-            for s in modelled
-            for part in s.section(_model_rows(s), dofs=paper.DOFS[s.layers, 1])
-        ],
+        "modelled": [part for s in modelled for part in s.section(_model_rows(s), dofs=s.dofs)],
         "limits": section(row for s in modelled for row in _limits(s)),
         "weak": section(_weak(s) for s in modelled),
         "once": section(r | s.names | {"s": r["seconds_once"]} for s in every for r in s.measured),
@@ -292,7 +283,7 @@ def _limits(series: _Series) -> Iterator[dict[str, object]]:
 
 def _weak(series: _Series) -> dict[str, object]:
     """Return Krylov and coarse set-up on WEAK processes, the paper's dofs on the fewest."""
-    dofs, (few, many) = paper.DOFS[series.layers, 1], WEAK
+    dofs, (few, many) = series.dofs, WEAK
     foreseen = (series.model.predict(P, series.refined * P / few) for P in WEAK)
     t = [p["krylov"] + p["coarse"] for p in foreseen]
     sizes = {"few": few, "many": many, "dofs": dofs, "dofs_many": dofs * many // few}

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -19,21 +19,18 @@ from dolfinx_feti.runtime.events import seconds_of
 Then = Callable[[PETSc.KSP, PETSc.Vec, PETSc.Vec], object]
 
 
-class Events:
-    """Seconds of PETSc's log events since this object was created."""
+def event_clock(names: Sequence[str], comm: MPI.Comm) -> Callable[[], dict[str, float]]:
+    """Return what tells the seconds of PETSc's log events from here on, of the slowest process."""
+    PETSc.Log.begin()
+    begun = np.array(seconds_of(names))
 
-    def __init__(self, names: Iterable[str], comm: MPI.Comm) -> None:
-        """Begin; PETSc's logging is begun if it is not."""
-        PETSc.Log.begin()
-        self._names, self._comm = list(names), comm
-        self._begun = np.array(seconds_of(self._names))
-
-    def seconds(self) -> dict[str, float]:
-        """Return the seconds of each event, those of the slowest process. Collective."""
-        spent = np.array(seconds_of(self._names)) - self._begun
+    def seconds() -> dict[str, float]:
+        spent = np.array(seconds_of(names)) - begun
         slowest = np.empty_like(spent)
-        self._comm.Allreduce(spent, slowest, op=MPI.MAX)
-        return dict(zip(self._names, slowest.tolist(), strict=True))
+        comm.Allreduce(spent, slowest, op=MPI.MAX)
+        return dict(zip(names, slowest.tolist(), strict=True))
+
+    return seconds
 
 
 class Stopwatch:

@@ -89,10 +89,8 @@ def test_papers_efficiencies():
     """Closed form: the printed efficiencies of the paper's last rows."""
     for layers, krylov, total in ((1, 0.606, 0.394), (2, 0.497, 0.305)):
         first, last = (paper.TIMES[layers][P] for P in (paper.FIRST, 512))
-        assert efficiency(16, first["krylov"], 512, last["krylov"]) == pytest.approx(
-            krylov, abs=5e-4
-        )
-        assert efficiency(16, first["total"], 512, last["total"]) == pytest.approx(total, abs=5e-4)
+        found = [efficiency(16, first[part], 512, last[part]) for part in ("krylov", "total")]
+        assert found == pytest.approx([krylov, total], abs=5e-4)
 
 
 def test_model_gives_back_what_it_begins_with():

@@ -311,14 +311,6 @@ def test_both_sides_are_searched():
     assert upward.lost == pytest.approx((SHORTEST**-0.5,), abs=1e-7)  # F₁₁ = λ⁻²
 
 
-def bar(stretch):
-    """Uniaxial strain: nothing is free."""
-    path = uniaxial(stretch)
-    F = np.tile(np.eye(3), (len(path.values), 1, 1))
-    F[:, 0, 0] = path.values
-    return replace(path, F=F, free=np.empty((0, 3, 3)))
-
-
 def test_uniaxial_strain_of_saint_venant_kirchhoff():
     """With λ = 0 ellipticity is lost at λ₁ = 2 − √2, at an oblique n = (c, s).
 
@@ -328,6 +320,11 @@ def test_uniaxial_strain_of_saint_venant_kirchhoff():
     y = 6 - 4 * np.sqrt(2)
     discriminant = (2 * (3 * y - 1) + y**2 - y) ** 2 - 8 * y**2 * (3 * y - 1)
     assert discriminant == pytest.approx(0, abs=1e-14)
+
+    def bar(stretch):  # uniaxial strain: nothing is free
+        F = np.eye(3) + np.subtract(stretch, 1)[:, None, None] * np.diag([1, 0, 0])
+        return replace(uniaxial(stretch), F=F, free=np.empty((0, 3, 3)))
+
     scan = scan_ellipticity(material(energies.no_lambda, kappa=0.0), bar, np.linspace(0.5, 1.2, 8))
     assert scan.lost == pytest.approx((2 - np.sqrt(2),), abs=1e-7)
 

@@ -77,12 +77,8 @@ def fields(records: Sequence[Record]) -> Fields:
     return {
         "summary": section(row for case in cases if (row := _against_the_best(case))),
         "steps": [
-            {
-                "geometry": geometry,
-                "kappa": kappa,
-                "rows": [r for case in mine for r in _rows(case)],
-            }
-            for (geometry, kappa), mine in steps
+            {"geometry": body, "kappa": kappa, "rows": [r for case in mine for r in _rows(case)]}
+            for (body, kappa), mine in steps
         ],
         "paths": section(row for case in paths for row in _rows(case)),
         "sweep": section(_subdomains(sweep)),
@@ -220,15 +216,9 @@ def points(
     records: Sequence[Record], geometry: str, solvers: Sequence[str]
 ) -> list[tuple[float, float]]:
     """Return dofs and seconds of the fastest of some solvers on a body, by size."""
-    first_steps = [
-        r
-        for r in records
-        if (r["geometry"], r["kappa"], r["degree"]) == (geometry, KAPPA, 2)
-        and r["solver"] in solvers
-        and r["converged"]
-        and not any(r.get(name) for name in SPECIAL)
-    ]
-    found = groups(first_steps, "dofs")
+    case = {"geometry": geometry, "kappa": KAPPA, "degree": 2, "converged": True}
+    plain = [r for r in records if case.items() <= r.items() and r["solver"] in solvers]
+    found = groups((r for r in plain if not any(r.get(name) for name in SPECIAL)), "dofs")
     return sorted((dofs, min(map(seconds, mine))) for (dofs,), mine in found)
 
 

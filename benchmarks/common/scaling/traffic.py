@@ -115,10 +115,7 @@ def _functions(
 def counted(work: Callable[[], object], comm: MPI.Comm) -> Array:
     """Do some work; return what each process has sent for it, (processes, counters). Collective."""
     (named,) = (word for word in os.environ["LD_PRELOAD"].split(":") if "libtraffic" in word)
-    library, values = (
-        ctypes.CDLL(named),
-        np.zeros(len(COUNTERS)),
-    )  # it was loaded before the program
+    library, values = ctypes.CDLL(named), np.zeros(len(COUNTERS))  # loaded before the program
     library.traffic_reset()
     work()
     library.traffic_read(values.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))

@@ -29,7 +29,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from benchmarks.common.bodies import Body
-from benchmarks.common.clock import Events
+from benchmarks.common.clock import event_clock
 from benchmarks.common.records import Record
 from benchmarks.common.scaling.traffic import COUNTERS, counted
 from benchmarks.common.walls import first_step
@@ -76,12 +76,12 @@ def measure(case: Record, comm: MPI.Comm) -> Record:
         fixed = time.perf_counter() - started
     comm.Barrier()
     started = time.perf_counter()
-    phases = Events((*EVENTS, *ONCE), comm)
+    phases = event_clock((*EVENTS, *ONCE), comm)
     body = _create(case, read_wall(file, comm))
     first_step.load(body, PRESSURE, in_part=True)
     comm.Barrier()
     ended = time.perf_counter()
-    spent = phases.seconds()
+    spent = phases()
     own = sum(step.seconds_assembly for step in body.problem.history)
     assembly = comm.allreduce(own, op=MPI.MAX)
     its = [step.linear_iterations for step in body.problem.history]
