@@ -16,6 +16,7 @@ from modes import modes_of
 from dolfinx_feti.feti.dual import system
 from dolfinx_feti.feti.dual.coarse import WeightedColumns
 from dolfinx_feti.feti.dual.krylov import INTERVAL, OPTIMISM, _StoppingTest
+from dolfinx_feti.feti.dual.system import DualSystem
 
 SEED = 90210
 
@@ -147,7 +148,7 @@ def test_operator(grid, kind, change, interior, torn_grid, parts):
 @every_change
 @pytest.mark.parametrize("pc_type", ["dirichlet", "identity"])
 def test_constraint_preconditioner_is_the_inverse_it_stands_for(
-    grid, q, change, pc_type, torn_grid, parts
+    grid, q, change, pc_type, torn_grid, parts, lifetime
 ):
     """Its image is balanced, Gᵀz_λ + D z_s = 0, and P M Pᵀ r for D = 0; Q stands for M in Q."""
     system = parts(torn_grid(change=change, **grid).A, pc_type=pc_type, coarse_q=q)
@@ -170,6 +171,11 @@ def test_constraint_preconditioner_is_the_inverse_it_stands_for(
     agree(system.dual.exact == (change is None))
     agree(system.dual.frozen == (change is None and system.coarse.MG is None))
     equal(z_s, np.zeros_like(z_s) if system.dual.frozen else -w - v, 1e-10)
+    given = system.pattern.gluing, system.inverse, system.preconditioner, system.coarse
+    for part, expected in zip(
+        constraint(lifetime.own(DualSystem(*given, cg=False))), (z_lam, -w - v), strict=True
+    ):
+        equal(part, expected, 1e-10)
 
 
 @every_q

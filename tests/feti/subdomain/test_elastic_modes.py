@@ -1,15 +1,20 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Soft and buckling modes against dense eigenvectors, and their effect on solves."""
+"""Soft and buckling modes against dense eigenvectors, their effect on solves; orthonormal bases."""
 
 import numpy as np
 import pytest
 from cases import every_type
-from collective import COMM, agree, small
+from collective import COMM, agree, equal, small
 from hand_torn import random_values, softened, solve
 
 from dolfinx_feti.feti.setup import set_up
+from dolfinx_feti.feti.subdomain.orthonormal import (
+    append_orthonormal,
+    orthonormal,
+    orthonormalising,
+)
 from dolfinx_feti.feti.subdomain.soft import ALL_MODES, POWERS, buckling_modes, soft_modes
 
 SEED = 1744
@@ -108,3 +113,37 @@ def test_adaptive_columns_take_the_place_of_soft_modes(
     options = {"interior": "eliminate", "coarse_adaptive": adaptive, "coarse_threshold": 0.5}
     setup = set_up(pattern(problem.A, **options), lifetime, lifetime, rough=True)
     agree((COMM.allreduce(sum(modes.soft for modes in setup.inverse.modes)) > 0) == found)
+
+
+# ---- orthonormal bases, and columns that depend on others -----------------------------------
+
+EPS = np.finfo(float).eps
+
+
+def columns(n, rank, repeated):
+    """Columns of sizes from 1e-3 to 1e3, and combinations of them, up to rounding."""
+    rng = np.random.default_rng(1907)
+    X = rng.standard_normal((n, rank)) * np.geomspace(1e-3, 1e3, rank)
+    return np.hstack([X, X @ rng.standard_normal((rank, repeated))])
+
+
+@pytest.mark.parametrize("repeated", [0, 3])
+def test_bases_in_euclids_scalar_product(repeated):
+    X = columns(40, 4, repeated)
+    Q, B = orthonormal(X), orthonormalising(X)
+    agree(Q.shape == (40, 4) and B.shape == (4 + repeated, 4))
+    equal(Q.T @ Q, np.eye(4), 100 * EPS)
+    small(np.abs(X - Q @ (Q.T @ X)).max(), 1e2 * EPS * np.abs(X).max())
+    equal((X @ B).T @ X @ B, np.eye(4), 1e6 * 100 * EPS)  # κ = 1e6
+
+
+def test_append_orthonormal():
+    """The columns are orthonormal, and what is there already is dropped."""
+    rng = np.random.default_rng(1907)
+    R = np.linalg.qr(rng.standard_normal((30, 4)))[0]
+    new = rng.standard_normal((30, 2))
+    wider = append_orthonormal(R, np.hstack([R[:, :1] + R[:, 2:3], 1e9 * new, 0.0 * new]))
+    agree(wider.shape == (30, 6))
+    equal(wider[:, :4], R)
+    equal(wider.T @ wider, np.eye(6), 1e-13)
+    small(np.abs(new - wider @ (wider.T @ new)).max(), 1e-10)

@@ -3,8 +3,6 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Work on a subdomain that fails on the last process alone is one error on all of them."""
 
-import weakref
-
 from petsc4py import PETSc
 
 import numpy as np
@@ -16,14 +14,10 @@ from collective import COMM, agree, raises
 from hand_torn import random_values, solve, solved
 
 from dolfinx_feti.errors import FactorError, SetUpError
-from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.pattern import create_pattern
-from dolfinx_feti.feti.setup import set_up
 from dolfinx_feti.feti.subdomain import analysis
 from dolfinx_feti.feti.subdomain.factors.dense import PackedMatrix, pack
 from dolfinx_feti.feti.subdomain.factors.direct import Choice, create_factor
 from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
-from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_options import inserted
 
 many = pytest.mark.processes(1, 2, 3, 4, 8)
@@ -75,23 +69,6 @@ def test_solver_goes_on_when_the_cause_is_gone(torn_grid, feti, monkeypatch):
         agree("MemoryError: Unable to allocate" in ksp.getPythonContext().message)
         agree(not ksp.getPythonContext().singular)
     solved(ksp, problem, 1e-5)
-
-
-def test_failure_leaves_no_circle(torn_grid, monkeypatch, without_collector):
-    """A circle through the traceback, on one process, would free PETSc's objects out of step."""
-    fail_on_last(monkeypatch, "pseudoinverse.soft_modes", ERRORS["LAPACK"])
-    problem = torn_grid(**GRID)
-    text, owner = "", Lifetime()
-    system = create_pattern(problem.A, FETIOptions(), "test_", owner)
-    watched = weakref.ref(system.torn)
-    try:
-        set_up(system, owner, owner)
-    except SetUpError as error:
-        text = str(error)
-    owner.close()
-    agree("SVD did not converge" in text, text)
-    del system
-    agree(watched() is None)
 
 
 def test_not_enough_work_space(torn_grid, parts, monkeypatch):
