@@ -1,17 +1,23 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The averaged coarse space: dense matrices, negative curvature, work that fails on a process."""
+"""The averaged coarse space: dense matrices, negative curvature, and stiff parts beside soft ones.
+
+Near the rounding errors of a residual, a definite matrix is not called anything else.
+"""
 
 import numpy as np
 import primal_form
 import pytest
 import scipy.linalg
-from cases import case, every_interior, every_type
+from cases import case, each, every_interior, every_type
 from collective import COMM, agree, dense, equal, small, whole
-from hand_torn import softened
+from hand_torn import brick, random_values, softened, solve
+from problems import Problem, dirichlet, left, torn
 
-from dolfinx_feti.feti.coarse.space import AveragedSpace
+import dolfinx
+import ufl
+
 from dolfinx_feti.runtime.petsc_options import inserted
 
 SEED = 2003
@@ -61,9 +67,8 @@ def test_projection_in_single_precision(torn_grid, form, monkeypatch):
     equal(single.space.correct(z, r), double.space.correct(z, r), 1e-6)
 
 
-@pytest.fixture
-def repeated(torn_grid, form):
-    """A form, and the same with all columns twice, a hair's breadth apart, and a zero one."""
+def test_dependent_columns_are_dropped(torn_grid, form):
+    """Columns that come twice, zero ones and large ones do no harm."""
     problem = torn_grid(**GRID)
     plain = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
 
@@ -74,40 +79,11 @@ def repeated(torn_grid, form):
             columns.append(np.hstack([1e5 * (U_i + noise), 0.0 * U_i[:, :1]]))
         return columns
 
-    twice = form(problem, again, type="all_floating", interior="eliminate", coarse_modes=2)
-    return plain, twice
-
-
-def test_dependent_columns_are_dropped(repeated):
-    """Columns that come twice, zero ones and large ones do no harm."""
-    plain, twice = repeated
-    space = twice.space
+    space = form(problem, again, type="all_floating", interior="eliminate", coarse_modes=2).space
     agree(space.total - space.A_0.getSize()[0] == plain.space.total + 6)
     agree(plain.space.A_0.getSize()[0] == plain.space.total and space.negative() == 0)
     z, zero = plain.copies.average(random(plain.copies.n)), np.zeros(plain.copies.n)
     equal(space.correct(z, zero), plain.space.correct(z, zero), 1e-7)
-
-
-def test_columns_and_their_choice_serve_another_matrix(repeated):
-    """V and its combinations with another S, here 2 S: the same projection, A₀ doubled."""
-    _, twice = repeated
-    space, copies = twice.space, twice.copies
-
-    class Doubled:
-        torn = twice.parts.operator.torn
-
-        def multiply_panels(self, i, W, *, transpose):
-            return 2.0 * twice.parts.operator.multiply_panels(i, W)
-
-        def multiply_many(self, i, W):
-            return 2.0 * twice.parts.operator.multiply_many(i, W)
-
-    later = AveragedSpace(space.V, Doubled(), prefix=PREFIX, combinations=space.combinations)
-    agree(later.A_0.getSize() == space.A_0.getSize() and later.V is space.V)
-    equal(dense(later.A_0), 2.0 * dense(space.A_0), 1e-12)
-    z, zero = copies.average(random(copies.n)), np.zeros(copies.n)
-    equal(later.correct(z, zero), space.correct(z, zero), 1e-7)
-    later.destroy()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02], ids=["definite", "indefinite"])
@@ -118,3 +94,139 @@ def test_solver_that_does_not_count_pivots(share, torn_grid, form):
         primal = form(problem, type="classical", interior="eliminate", coarse_modes=0)
     agree(primal.space.negative() is None)
     agree(not primal.system.space.indefinite)
+
+
+# ---- many subdomains, and jumps of the stiffness --------------------------------------------
+
+FORMULATIONS = {
+    "primal": {"feti_formulation": "primal"},
+    "Q = I": {"feti_formulation": "dual", "feti_coarse_q": "identity"},
+    "Q = M": {"feti_formulation": "dual"},
+}
+
+#: Where the modulus is another one, by the cell of a grid.
+PATTERNS = {
+    "columns": lambda i: (i[0] % 2 == 0) & (i[1] % 2 == 0),
+    "layers": lambda i: i[1] % 2 == 0,
+    "channels": lambda i: (i[2] % 4 == 1) & (i[1] % 2 == 1),
+    "checkerboard": lambda i: i.sum(axis=0) % 2 == 0,
+}
+
+
+def stiffened_cube(n, grid, pattern, jump, subdomains=None, options=FORMULATIONS["primal"]):
+    """Set up a cube of n³ cells, whose modulus jumps on a grid of cubes: subdomains, or not."""
+    mesh = dolfinx.mesh.create_unit_cube(COMM, n, n, n)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
+    E = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
+    place = np.floor(grid * E.function_space.tabulate_dof_coordinates().T).astype(int)
+    E.x.array[:] = np.where(PATTERNS[pattern](place), jump, 1.0)[: len(E.x.array)]
+    if subdomains is None:
+        own = mesh.topology.index_map(3).size_local
+        subdomains = np.ravel_multi_index(place[:, :own], (grid,) * 3)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    stress = ufl.sym(ufl.grad(u)) + 0.5 * ufl.div(u) * ufl.Identity(3)
+    a = E * ufl.inner(stress, ufl.grad(v)) * ufl.dx
+    return torn(Problem(V, a, v[2] * ufl.dx, [dirichlet(V, left)]), subdomains, "jumps_", **options)
+
+
+def solves(problem, rtol=1e-8):
+    """Solve; the residual is within the tolerance, or rounding's."""
+    problem.solver.setTolerances(rtol=rtol)
+    problem.solve()
+    context = problem.solver.getPythonContext()
+    agree(context.residual <= max(1.01 * rtol, np.nan_to_num(context.floor)), context.residual)
+    agree("factor" in (said := context.report().coarse_solver) or "inverse" in said, said)
+    return context
+
+
+@pytest.mark.processes(1, 2, 3)
+@pytest.mark.parametrize("subdomains", [None, 20], ids=["aligned", "across"])
+@pytest.mark.parametrize("jump", [1e2, 1e5, 1e8])
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_jumps_are_solved(pattern, jump, subdomains):
+    """Rounding grows with the jump, and single precision is not taken where it hides soft dofs."""
+    problem = stiffened_cube(6, 3 if subdomains is None else 2, pattern, jump, subdomains)
+    context = solves(problem, max(1e-8, 1e-15 * jump))
+    agree(context.iterations <= 150, context.iterations)
+
+
+@pytest.mark.processes(1, 2)
+@each("options", FORMULATIONS)
+def test_jumps_in_every_formulation(options):
+    solves(stiffened_cube(8, 4, "columns", 1e6, options=options))
+
+
+@pytest.mark.processes(1, 2)
+def test_many_subdomains():
+    """One cell in each of 3375 subdomains."""
+    problem = stiffened_cube(15, 15, "columns", 1e6)
+    agree(solves(problem).report().coarse_size > 20_000)
+
+
+@pytest.mark.processes(1)
+def test_jumps_across_many_subdomains(torn_grid, feti):
+    """A checkerboard of three by three cells on 83² subdomains of two by two."""
+
+    def change(K, dofs):
+        for n in range(len(K)):
+            corner = 2 * (n // 83), 2 * (n % 83)
+
+            def stiffness(cell, corner=corner):
+                i, j = ((a + b) // 3 for a, b in zip(corner, cell, strict=True))
+                return 1e8 if (i + j) % 2 else 1.0
+
+            K[n] = brick((2, 2), 2, stiffness)[1]
+
+    problem = torn_grid((83, 83), (2, 2), components=2, change=change)
+    ksp = feti(problem.A)
+    reason, _ = solve(ksp, problem, random_values(problem))
+    context = ksp.getPythonContext()
+    agree(reason > 0 and context.message == "", context.message)
+    agree(context.residual <= max(1e-8, np.nan_to_num(context.floor)), context.residual)
+    agree(context.report().coarse_size > 20_000)
+
+
+# ---- rounding -------------------------------------------------------------------------------
+
+#: Stiffness of stripes and of a disc over that of the rest, and λ/μ.
+JUMP, RATIO = 1e3, 1e3
+
+
+def stripes(x):
+    return ufl.lt(ufl.cos(3 * np.pi * x[0]), 0.0)
+
+
+def disc(x):
+    return ufl.lt((x[0] - 0.5) ** 2 + (x[1] - 0.5) ** 2, 0.09)
+
+
+CHOICES = {
+    "all-floating": {},
+    "classical": {"feti_type": "classical"},
+    "primal": {"feti_formulation": "primal"},
+    "lumped": {"feti_pc_type": "lumped"},
+}
+
+
+@each("options", CHOICES)
+@pytest.mark.parametrize(
+    ("cells", "length", "stiff"),
+    [((9, 14), 3.0, stripes), ((11, 16), 10.0, stripes), ((6, 19), 3.0, disc)],
+    ids=["short", "long", "disc"],
+)
+def test_rounding_is_no_negative_curvature(cells, length, stiff, options):
+    """Linear elasticity, P1, cut into 13 subdomains: CG comes to curvatures that are rounding."""
+    corners = [np.zeros(2), np.array([length, 1.0])]
+    mesh = dolfinx.mesh.create_rectangle(COMM, corners, cells)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    mu = ufl.conditional(stiff(ufl.SpatialCoordinate(mesh)), JUMP, 1.0)
+    strain = [ufl.sym(ufl.grad(w)) for w in (u, v)]
+    a = mu * (2 * ufl.inner(*strain) + RATIO * ufl.div(u) * ufl.div(v))
+    a = a * ufl.dx(metadata={"quadrature_degree": 1})
+    body = Problem(V, a, -v[1] * ufl.dx, [dirichlet(V, left)])
+    problem = torn(body, 13, "rounding_", ksp_rtol=1e-9, **options)
+    problem.solve()
+    step = problem.history[0]
+    agree(step.linear_residual <= np.fmax(1e-9, step.linear_floor) < 1e-6, step)
+    agree(step.indefinite in (0, None), step)
