@@ -30,6 +30,7 @@ import dolfinx_feti
 from dolfinx_feti.feti.dual.form import DualForm, create_dual_form
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.pattern import Pattern, create_pattern
+from dolfinx_feti.feti.primal.form import PrimalForm
 from dolfinx_feti.feti.primal.krylov import conjugate_gradients
 from dolfinx_feti.feti.setup import set_up
 from dolfinx_feti.runtime.lifetime import Lifetime
@@ -223,11 +224,11 @@ def double_products(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def form(
-    parts: Callable[..., DualForm], double_products: None, lifetime: Lifetime
-) -> Callable[..., primal_form.PrimalForm]:
+    pattern: Callable[..., Pattern], double_products: None, lifetime: Lifetime
+) -> Callable[..., PrimalForm]:
     """Build the primal form of a torn problem, see :func:`primal_form.create`."""
-    return lambda problem, more=None, **options: lifetime.own(
-        primal_form.create(parts(problem.A, **options), more)
+    return lambda problem, more=None, **options: primal_form.create(
+        pattern(problem.A, deflation=0, **options), lifetime, more
     )
 
 

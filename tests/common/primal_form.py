@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The primal form built from the parts of a FETI system, and its dense counterparts."""
+"""The primal form with any columns in its coarse space, and its dense counterparts."""
 
 from __future__ import annotations
 
@@ -13,49 +13,17 @@ import numpy.typing as npt
 import scipy.linalg
 from collective import COMM, whole
 from hand_torn import HandTorn
-from modes import modes_of
 
-from dolfinx_feti.feti.coarse.space import AveragedColumns, AveragedSpace
-from dolfinx_feti.feti.dual.form import DualForm
+from dolfinx_feti.feti.coarse.space import AveragedColumns
 from dolfinx_feti.feti.gluing.copies import Copies
-from dolfinx_feti.feti.primal.deflation import DeflatedSpace
+from dolfinx_feti.feti.pattern import Pattern
+from dolfinx_feti.feti.primal.form import PrimalForm, PrimalPreconditioner, create_primal_form
 from dolfinx_feti.feti.primal.krylov import PrimalSystem, conjugate_gradients
+from dolfinx_feti.feti.setup import Setup, set_up
 from dolfinx_feti.feti.solution import Solution
+from dolfinx_feti.runtime.lifetime import Lifetime
 
 Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class PrimalForm:
-    """A primal system and the parts that it is made of."""
-
-    parts: DualForm
-    space: AveragedSpace
-    system: PrimalSystem
-
-    @property
-    def copies(self) -> Copies:
-        return self.system.copies
-
-    def solve(self, b: Array, u_D: Array, **how: object) -> tuple[Array, Solution]:
-        """Solve for an assembled right-hand side and prescribed values, both torn, (n,).
-
-        Returns:
-            The torn solution, (n,), and how conjugate gradients ended.
-        """
-        torn, Γ, S = self.parts.torn, self.copies.dofs, self.parts.operator
-        u_D = np.where(torn.dirichlet, u_D, 0.0)
-        f = np.where(torn.dirichlet, 0.0, self.parts.delta * b - torn.multiply(u_D))
-        x, solution = cg(self.system, S.condense(f)[Γ], **how)
-        u = np.zeros(torn.n)
-        u[Γ] = x
-        u = S.extend(u, f)
-        return u + u_D, solution
-
-    def destroy(self) -> None:
-        """Free what the form owns."""
-        for owned in (self.space, self.space.V, self.copies):
-            owned.destroy()
 
 
 def cg(
@@ -70,29 +38,18 @@ def cg(
 
 
 def create(
-    parts: DualForm, more: Callable[[DualForm, Copies], list[Array]] | None = None
+    pattern: Pattern, within: Lifetime, more: Callable[[Setup, Copies], list[Array]] | None = None
 ) -> PrimalForm:
-    """Build the primal form of a FETI system, with E and further columns in the coarse space."""
-    S = parts.operator
-    copies = Copies(parts.torn, S.interface, parts.delta)
-
-    def torn(t: Array) -> Array:
-        u = np.zeros(parts.torn.n)
-        u[copies.dofs] = t
-        return u
-
-    pairs = zip(modes_of(parts).E, parts.operator.dofs, S.interface, strict=True)
-    U = [E[np.isin(dofs, Γ)] for E, dofs, Γ in pairs]
+    """Build the primal form of a matrix, with E and these further columns in the coarse space."""
+    setup = set_up(pattern, within, within)
+    S = setup.operator
+    copies = within.own(Copies(pattern.torn, S.interface, setup.delta))
+    U = [m.E[on] for m, on in zip(setup.inverse.modes, S.on_interface, strict=True)]
     if more is not None:
-        U = [np.hstack(pair) for pair in zip(U, more(parts, copies), strict=True)]
-    space = AveragedSpace(AveragedColumns(copies, U), S, prefix="test_feti_coarse_")
-    system = PrimalSystem(
-        copies,
-        DeflatedSpace(space, copies, S.multiply_many, None),
-        multiply=lambda t: S.multiply(torn(t))[copies.dofs],
-        solve=lambda t: parts.inverse.solve(torn(t))[copies.dofs],
-    )
-    return PrimalForm(parts, space, system)
+        U = [np.hstack(pair) for pair in zip(U, more(setup, copies), strict=True)]
+    V = within.own(AveragedColumns(copies, U))
+    made = PrimalPreconditioner(setup.delta, setup.inverse, setup.inertia, copies, V)
+    return create_primal_form(pattern, S, made, within)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,10 +98,9 @@ class Dense:
 
 def reference(problem: HandTorn, form: PrimalForm) -> Dense:
     """Compute the dense counterparts from the local matrices, R and ρ."""
-    parts, Γ = form.parts, form.copies.dofs
-    start = parts.torn.start
-    rows = whole(Γ + start)
-    held = whole(parts.pattern.dofs.fixed)
+    torn, operator, copies = form.pattern.torn, form.operator, form.system.copies
+    rows = whole(copies.dofs + torn.start)
+    held = whole(form.pattern.dofs.fixed)
     inside = np.setdiff1d(np.flatnonzero(~held), rows)
     K, interior = problem.K_torn, np.ix_(inside, inside)
     free = np.concatenate([rows, inside])
@@ -153,14 +109,13 @@ def reference(problem: HandTorn, form: PrimalForm) -> Dense:
         X = np.linalg.solve(K[interior], K[np.ix_(inside, rows)])
         return K[np.ix_(rows, rows)] - K[np.ix_(rows, inside)] @ X
 
-    ρ_R = np.zeros((parts.torn.n, 0))
-    R_all = ρ_R
-    for R, ρ, dofs in zip(modes_of(parts).R, modes_of(parts).rho, parts.operator.dofs, strict=True):
-        columns = np.zeros((parts.torn.n, R.shape[1]))
-        columns[dofs] = R
-        R_all, ρ_R = np.hstack([R_all, columns]), np.hstack([ρ_R, ρ * columns])
+    R_all = ρ_R = np.zeros((torn.n, 0))
+    for modes, dofs in zip(form.modes, operator.dofs, strict=True):
+        columns = np.zeros((torn.n, modes.R.shape[1]))
+        columns[dofs] = modes.R
+        R_all, ρ_R = np.hstack([R_all, columns]), np.hstack([ρ_R, modes.rho * columns])
     R_all, ρ_R = (scipy.linalg.block_diag(*COMM.allgather(part)) for part in (R_all, ρ_R))
-    if not parts.operator.eliminated:
+    if not operator.eliminated:
         K_ρ = K + ρ_R @ R_all.T
         S_ρ = condensed(K_ρ)
         E = np.zeros_like(R_all)
@@ -170,6 +125,4 @@ def reference(problem: HandTorn, form: PrimalForm) -> Dense:
         S_ρ = condensed(K) + ρ_R[rows] @ R_all[rows].T
         E = np.linalg.solve(S_ρ, ρ_R[rows])
     T = problem.T[rows][:, ~problem.dirichlet]
-    return Dense(
-        T=T[:, T.any(axis=0)], S=condensed(K), delta=whole(form.copies.delta), S_ρ=S_ρ, E=E
-    )
+    return Dense(T=T[:, T.any(axis=0)], S=condensed(K), delta=whole(copies.delta), S_ρ=S_ρ, E=E)

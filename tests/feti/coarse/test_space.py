@@ -36,7 +36,7 @@ def test_galerkin_matrix_and_projection(kind, interior, torn_grid, form):
     problem = torn_grid(**GRID)
     primal = form(problem, type=kind, interior=interior, coarse_modes=2)
     exact = primal_form.reference(problem, primal)
-    space, copies = primal.space, primal.copies
+    space, copies = primal.coarse, primal.system.copies
     basis = scipy.linalg.block_diag(*COMM.allgather(space.combinations.toarray()))
     equal(dense(space.A_0), basis.T @ exact.V.T @ exact.A @ exact.V @ basis, 1e-10)
     equal(dense(space.A_0).diagonal(), np.ones(space.A_0.getSize()[0]), 1e-12)
@@ -57,14 +57,14 @@ def test_projection_in_single_precision(torn_grid, form, monkeypatch):
     double = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
     monkeypatch.undo()
     single = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
-    agree(all(Y.dtype == np.float32 for Y in single.space.AV))
-    equal(dense(single.space.A_0), dense(double.space.A_0), 1e-12)
-    copies = double.copies
+    agree(all(Y.dtype == np.float32 for Y in single.coarse.AV))
+    equal(dense(single.coarse.A_0), dense(double.coarse.A_0), 1e-12)
+    copies = double.system.copies
     z = copies.average(random(copies.n))
     r = copies.sum(random(copies.n))
-    guesses = [form.space.initial_guess(r) for form in (single, double)]
+    guesses = [form.coarse.initial_guess(r) for form in (single, double)]
     equal(*guesses, 1e-7)
-    equal(single.space.correct(z, r), double.space.correct(z, r), 1e-6)
+    equal(single.coarse.correct(z, r), double.coarse.correct(z, r), 1e-6)
 
 
 def test_dependent_columns_are_dropped(torn_grid, form):
@@ -72,18 +72,19 @@ def test_dependent_columns_are_dropped(torn_grid, form):
     problem = torn_grid(**GRID)
     plain = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
 
-    def again(parts, copies):
+    def again(setup, copies):
         columns = []
-        for U_i in plain.space.V.columns:
+        for U_i in plain.coarse.V.columns:
             noise = 1e-12 * np.random.default_rng(SEED).standard_normal(U_i.shape)
             columns.append(np.hstack([1e5 * (U_i + noise), 0.0 * U_i[:, :1]]))
         return columns
 
-    space = form(problem, again, type="all_floating", interior="eliminate", coarse_modes=2).space
-    agree(space.total - space.A_0.getSize()[0] == plain.space.total + 6)
-    agree(plain.space.A_0.getSize()[0] == plain.space.total and space.negative() == 0)
-    z, zero = plain.copies.average(random(plain.copies.n)), np.zeros(plain.copies.n)
-    equal(space.correct(z, zero), plain.space.correct(z, zero), 1e-7)
+    space = form(problem, again, type="all_floating", interior="eliminate", coarse_modes=2).coarse
+    agree(space.total - space.A_0.getSize()[0] == plain.coarse.total + 6)
+    agree(plain.coarse.A_0.getSize()[0] == plain.coarse.total and space.negative() == 0)
+    copies = plain.system.copies
+    z, zero = copies.average(random(copies.n)), np.zeros(copies.n)
+    equal(space.correct(z, zero), plain.coarse.correct(z, zero), 1e-7)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02], ids=["definite", "indefinite"])
@@ -92,7 +93,7 @@ def test_solver_that_does_not_count_pivots(share, torn_grid, form):
     problem = torn_grid((2, 2), (4, 4), components=2, change=softened(share))
     with inserted(PREFIX, {"pc_factor_mat_solver_type": "petsc"}):
         primal = form(problem, type="classical", interior="eliminate", coarse_modes=0)
-    agree(primal.space.negative() is None)
+    agree(primal.coarse.negative() is None)
     agree(not primal.system.space.indefinite)
 
 

@@ -143,17 +143,17 @@ def test_a_large_bulk_modulus_costs_few_iterations(kind, interior, torn_grid, fo
             for K_i in K:
                 K_i += κ * K_p.T @ K_p
 
-        def columns(parts, copies):
-            S = parts.operator
-            solver = partial(solver_on_interface, S, parts.inverse)
-            E = [m.E[on] for m, on in zip(parts.inverse.modes, S.on_interface, strict=True)]
+        def columns(setup, copies):
+            S = setup.operator
+            solver = partial(solver_on_interface, S, setup.inverse)
+            E = [m.E[on] for m, on in zip(setup.inverse.modes, S.on_interface, strict=True)]
             A = assembled_products(S, copies)
             return adaptive_columns(copies, A, solver, E, most=36, threshold=2.0)
 
         problem = torn_grid((4, 3), cells, components=2, change=stiffen)
         more = columns if adaptive else None
         primal = form(problem, more, type=kind, interior=interior, coarse_modes=0)
-        _, outcome = primal_form.cg(primal.system, random_part(primal.copies.n))
+        _, outcome = primal_form.cg(primal.system, random_part(primal.system.copies.n))
         agree(outcome.reason > 0)
         iterations[κ, adaptive] = outcome.iterations
     agree(iterations[1e2, True] <= iterations[1e2, False], iterations)
@@ -169,11 +169,11 @@ def test_products_with_the_assembled_matrix(kind, interior, torn_grid, form):
     """T_i A T_iᵀ of the formed S, with neighbours on any process; δ^−½ S_i δ^−½ otherwise."""
     problem = torn_grid(**GRID)
     primal = form(problem, type=kind, interior=interior)
-    exact, copies = primal_form.reference(problem, primal), primal.copies
+    exact, copies = primal_form.reference(problem, primal), primal.system.copies
     start = COMM.scan(copies.n) - copies.n
     glued = exact.T.any(axis=1)  # the rows without a prescribed value
     coupled = exact.T @ exact.T.T > 0.0
-    product = assembled_products(primal.parts.operator, copies)
+    product = assembled_products(primal.operator, copies)
     worst = 0.0
     for i, block in enumerate(copies.blocks):
         rows = np.arange(start + block.start, start + block.stop)
@@ -191,7 +191,7 @@ def test_products_with_the_assembled_matrix(kind, interior, torn_grid, form):
 
 def test_rows_in_any_order(torn_grid, form):
     """The lower triangle of a block, row by row."""
-    operator = form(torn_grid(**GRID), interior="eliminate").parts.operator
+    operator = form(torn_grid(**GRID), interior="eliminate").operator
     block = partial(copy_block, load_block_code(COMM), operator)
     for i, Γ in enumerate(operator.interface):
         S = operator.multiply_many(i, np.eye(len(Γ)))

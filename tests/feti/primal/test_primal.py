@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The primal form: its preconditioner against dense matrices, its spectrum, negative curvature."""
+"""The primal form: its preconditioner, spectrum and ends, and GMRES for an unsymmetric K."""
 
 from petsc4py import PETSc
 
@@ -9,8 +9,23 @@ import numpy as np
 import primal_form
 import pytest
 from cases import case, each, every_interior, every_type
-from collective import COMM, agree, dense, equal, matrix_of_map, random_part, whole
-from hand_torn import random_values, scaled_diagonal, softened
+from collective import COMM, agree, dense, equal, matrix_of_map, random_part, small, whole
+from hand_torn import (
+    one_sided,
+    random_values,
+    scaled_diagonal,
+    softened,
+    solve,
+    solved,
+    unsymmetric,
+)
+
+from dolfinx_feti.feti.primal import krylov as module
+from dolfinx_feti.feti.primal.form import create_preconditioner_of_part, create_primal_form
+from dolfinx_feti.feti.primal.krylov import conjugate_gradients, gmres
+from dolfinx_feti.feti.setup import set_up_operator
+from dolfinx_feti.feti.solution import RitzVectors
+from dolfinx_feti.runtime.petsc_options import inserted
 
 SEED = 1993
 GRID = case((3, 2), (3, 2), 2)
@@ -26,10 +41,11 @@ def assembled(of_copies, exact):
 
 def solution(problem, primal, values):
     """Assert that the solution is that of a direct solver, with values prescribed; say how."""
-    b = problem.vector(values)
-    torn = primal.parts.torn.tear(b.array_r)
+    b, torn = problem.vector(values), primal.pattern.torn
+    u_D = np.where(torn.dirichlet, torn.tear(b.array_r), 0.0)
+    how = {"target": 1e-10 * b.norm(), "max_it": 200, "monitor": lambda *_: None}
+    u, outcome = primal.solve(b, u_D, **how)
     b.destroy()
-    u, outcome = primal.solve(torn, torn)
     equal(whole(u), problem.T @ problem.solve(values), 1e-8)
     return outcome
 
@@ -42,7 +58,7 @@ def test_operator_and_preconditioner(change, kind, interior, torn_grid, form):
     problem = torn_grid(change=change, **GRID)
     primal = form(problem, type=kind, interior=interior, coarse_modes=2)
     exact = primal_form.reference(problem, primal)
-    system, n = primal.system, primal.copies.n
+    system, n = primal.system, primal.system.copies.n
     zero = np.zeros(n)
     A = -matrix_of_map(lambda x: system.residual(zero, x), n)
     M = matrix_of_map(lambda r: system.precondition(r)[0], n)
@@ -55,7 +71,7 @@ def test_operator_and_preconditioner(change, kind, interior, torn_grid, form):
 @every_type
 @every_interior
 @pytest.mark.parametrize("modes", [0, 3])
-def test_spectrum(kind, interior, modes, torn_grid, form):
+def test_spectrum(kind, interior, modes, torn_grid, form, parts):
     """Without prestress: none below one, and beyond one the eigenvalues of the dual method."""
     problem = torn_grid(**GRID)
     primal = form(problem, type=kind, interior=interior, coarse_modes=modes)
@@ -66,11 +82,10 @@ def test_spectrum(kind, interior, modes, torn_grid, form):
     agree(primal_values.min() >= 1.0 - 1e-9)
     if modes:
         return  # soft modes have D ≠ 0
-    dual = primal.parts.dual
-    m = dual.m
-    F = matrix_of_map(lambda x: dual.B @ primal.parts.inverse.solve(dual.B.T @ x), m)
-    M = matrix_of_map(lambda x: primal.parts.preconditioner.apply(x)[0], m)
-    G = dense(primal.parts.coarse.G)
+    system = parts(problem.A, type=kind, interior=interior, coarse_modes=modes)
+    F = matrix_of_map(system.dual.flexibility, system.dual.m)
+    M = matrix_of_map(lambda x: system.preconditioner.apply(x)[0], system.dual.m)
+    G = dense(system.coarse.G)
     P = np.eye(len(F)) - M @ G @ np.linalg.pinv(G.T @ M @ G, rcond=1e-10, hermitian=True) @ G.T
     dual_values = np.linalg.eigvals(P @ M @ P.T @ F).real
     above = 1.0 + 1e-6
@@ -86,8 +101,8 @@ def test_negative_curvature(share, proved, torn_grid, form):
     primal = form(problem, type="all_floating", interior="eliminate", coarse_modes=0)
     exact = primal_form.reference(problem, primal)
     agree(np.linalg.eigvalsh(exact.A)[0] < 0.0 < np.linalg.eigvalsh(exact.S_ρ)[0])
-    agree(primal.space.negative() == proved)
-    _, outcome = primal_form.cg(primal.system, random_part(primal.copies.n))
+    agree(primal.coarse.negative() == proved)
+    _, outcome = primal_form.cg(primal.system, random_part(primal.system.copies.n))
     agree(outcome.reason == Reason.DIVERGED_INDEFINITE_MAT)
 
 
@@ -97,18 +112,20 @@ def test_ritz_values(torn_grid, form):
     primal = form(problem, type="all_floating", interior="keep", coarse_modes=0)
     exact = primal_form.reference(problem, primal)
     values = np.linalg.eigvals(exact.preconditioner @ exact.A).real
-    _, found = primal_form.cg(primal.system, random_part(primal.copies.n), rtol=1e-13)
+    _, found = primal_form.cg(primal.system, random_part(primal.system.copies.n), rtol=1e-13)
     equal(found.eigenvalues, [values[values > 1e-6].min(), values.max()], 1e-6)
 
 
-def test_most_iterations_and_nothing_to_do(torn_grid, form):
-    primal = form(torn_grid(**GRID), type="all_floating", interior="keep")
-    n = primal.copies.n
-    _, outcome = primal_form.cg(primal.system, random_part(n), max_it=2)
+@pytest.mark.parametrize("method", [conjugate_gradients, gmres])
+def test_ends(method, torn_grid, form):
+    """No iterations left, no load, a NaN."""
+    system = form(torn_grid(**GRID)).system
+    n, how = system.copies.n, {"target": 1e-10, "monitor": lambda *_: None}
+    _, outcome, _ = method(system, random_part(n), max_it=2, **how)
     agree(outcome.reason == Reason.DIVERGED_MAX_IT and outcome.iterations == 2)
-    x, outcome = primal_form.cg(primal.system, np.zeros(n))
+    x, outcome, _ = method(system, np.zeros(n), max_it=200, **how)
     agree(outcome.reason > 0 and outcome.iterations == 0 and not x.any())
-    _, outcome = primal_form.cg(primal.system, np.full(n, np.nan))
+    _, outcome, _ = method(system, np.full(n, np.nan), max_it=200, **how)
     agree(outcome.reason == Reason.DIVERGED_NANORINF)
 
 
@@ -123,9 +140,162 @@ def test_copies_agree_to_the_last_bit(torn_grid, form):
     """Each copy gets the same sum, in whatever order the processes answer."""
     problem = torn_grid((2, 2, 2), (2, 2, 2))
     primal = form(problem)
-    total = whole(
-        primal.copies.sum(np.random.default_rng(COMM.rank).standard_normal(primal.copies.n))
-    )
-    dof = problem.to_global[whole(primal.copies.dofs + primal.parts.torn.start)]
+    copies = primal.system.copies
+    t = np.random.default_rng(SEED + COMM.rank).standard_normal(copies.n)
+    total = whole(copies.sum(t))
+    dof = problem.to_global[whole(copies.dofs + primal.pattern.torn.start)]
     for of_dof in np.unique(dof):
         agree(len(np.unique(total[dof == of_dof])) == 1)
+
+
+# ---- GMRES, with the preconditioner of the symmetric part -----------------------------------
+
+WIDE = case((3, 2), (3, 3), 2)
+
+
+@pytest.fixture
+def general_form(pattern, lifetime, double_products):
+    """Make the primal general_form of a torn matrix that is not symmetric."""
+
+    def create(problem, vectors=None, **options):
+        read = pattern(problem.A, formulation="primal", interior="auto", **options)
+        parts = set_up_operator(read, lifetime), create_preconditioner_of_part(read, lifetime)
+        return create_primal_form(read, *parts, lifetime, vectors, most=20)
+
+    return create
+
+
+def least_residuals(general_form, f, *, rtol=1e-10, **how):
+    system, norms = general_form.system, []
+    target = rtol * system.norm(system.copies.sum(f))
+    given = {"max_it": 200, "traced": 200, **how}
+    found = gmres(system, f, target=target, monitor=lambda its, norm: norms.append(norm), **given)
+    return *found, norms
+
+
+def of_assembled(apply, general_form, T):
+    """The dense matrix of a map of assembled vectors, given by their copies: average, map."""
+    average = T.T * whole(general_form.system.copies.delta)
+    return average @ matrix_of_map(apply, general_form.system.copies.n) @ T
+
+
+@every_type
+def test_operator_and_preconditioner_of_an_unsymmetric_matrix(kind, torn_grid, general_form):
+    """A = Tᵀ S T of K; Π Tᵀ δ K_ρ⁻¹ δ T + V A₀⁻¹ Vᵀ, with K_ρ of ½ (K + Kᵀ) and Π of K."""
+    problem = torn_grid(change=unsymmetric(0.1), **WIDE)
+    primal = general_form(problem, type=kind, coarse_modes=2)
+    system, V, torn = primal.system, primal.coarse.V, primal.pattern.torn
+    rows = whole(system.copies.dofs + torn.start)
+    inside = np.setdiff1d(np.flatnonzero(~whole(primal.pattern.dofs.fixed)), rows)
+    T = problem.T[rows][:, ~problem.dirichlet]
+    T = T[:, T.any(axis=0)]
+    K, zero = problem.K_torn, np.zeros(system.copies.n)
+    X = np.linalg.solve(K[np.ix_(inside, inside)], K[np.ix_(inside, rows)])
+    A = T.T @ (K[np.ix_(rows, rows)] - K[np.ix_(rows, inside)] @ X) @ T
+    equal(of_assembled(lambda x: -system.residual(zero, x), primal, T), A, 1e-11)
+    average = T.T * whole(system.copies.delta)
+    V = average @ matrix_of_map(V.prolong, V.size)
+    coarse = V @ np.linalg.pinv(V.T @ A @ V, rcond=1e-10) @ V.T
+    K_ρ = np.linalg.inv(matrix_of_map(primal.preconditioner.solve, system.copies.n))
+    equal(K_ρ, K_ρ.T, 1e-8)
+    M = average @ np.linalg.solve(K_ρ, average.T)
+    expected = M - coarse @ A @ M + coarse
+    equal(of_assembled(lambda r: system.precondition(r)[0], primal, T), expected, 1e-8)
+
+
+@pytest.mark.parametrize("solver", ["mumps", "petsc"])
+def test_transposed_products(solver, torn_grid, pattern, lifetime):
+    """Sᵀ X of every subdomain, for all columns at once, and K_II⁻ᵀ."""
+    problem = torn_grid(change=unsymmetric(0.1), **WIDE)
+    with inserted("test_feti_dirichlet_", {"pc_factor_mat_solver_type": solver}):
+        read = pattern(problem.A, formulation="primal", interior="auto")
+        S = set_up_operator(read, lifetime)
+    for i, Γ in enumerate(S.interface):
+        X, Y = np.random.default_rng(SEED).standard_normal((2, len(Γ), 3))
+        agree(np.allclose(Y.T @ S.multiply_many(i, X), S.multiply_many(i, Y, transpose=True).T @ X))
+        agree(S.multiply_many(i, X[:, :0], transpose=True).shape == (len(Γ), 0))
+
+
+@pytest.mark.parametrize("count", [0, 4])
+def test_least_residuals(count, torn_grid, general_form):
+    """A Z = R H with Rᵀ R = I; V and W get no residual; and its norm is that of the iterate."""
+    problem = torn_grid(change=unsymmetric(0.1, skew=True), **WIDE)
+    plain = general_form(problem)
+    copies, f = plain.system.copies, random_part(plain.system.copies.n)
+    W = [copies.average(random_part(copies.n, seed=7 + j)) for j in range(count)]
+    W = np.column_stack(W or [f])[:, :count]
+    primal = general_form(problem, RitzVectors(W, W))
+    system, δ = primal.system, copies.delta[:, None]
+    agree(primal.deflation.count == count)
+    _, outcome, trace, norms = least_residuals(primal, f)
+    agree(outcome.reason == Reason.CONVERGED_RTOL and len(norms) == outcome.iterations + 1)
+    agree(np.all(np.diff(norms) <= 0.0))
+    R, Z, H = trace.R.T, trace.Z.T, trace.H
+    equal(COMM.allreduce(R.T @ (δ * R)), np.eye(R.shape[1]), 1e-12)
+    AZ = np.column_stack([-system.residual(0.0 * z, z) for z in Z.T])
+    equal(whole(AZ), whole(R @ H), 1e-10)
+    for its in (0, 3, outcome.iterations):
+        r = system.residual(f, least_residuals(primal, f, max_it=its)[0])
+        small(system.norm(r) / norms[its] - 1.0, 1e-3)
+        small(np.abs(COMM.allreduce(W.T @ (δ * r[:, None]))).max(initial=0.0), 1e-8 * norms[0])
+
+
+def test_symmetric_matrix_takes_the_iterations_of_cg(torn_grid, feti, general_form):
+    """A skew part of 1e-8 makes GMRES of CG."""
+    counts = []
+    for share in (0.0, 1e-8):
+        problem = torn_grid(change=unsymmetric(share, skew=True), **WIDE)
+        ksp = feti(problem.A, feti_formulation="primal")
+        agree(solve(ksp, problem, random_values(problem))[0] > 0)
+        agree(ksp.getPythonContext().method == ("gmres" if share else "cg"))
+        counts.append(ksp.getIterationNumber())
+    agree(counts[0] - 2 <= counts[1] <= counts[0], counts)
+
+
+@every_type
+@pytest.mark.parametrize("skew", [True, False], ids=["skew", "indefinite"])
+@pytest.mark.parametrize("share", [0.01, 0.3, 3.0])
+def test_against_lu(share, skew, kind, torn_grid, feti):
+    """Up to matrices that are random but for a pattern; ``auto`` takes the primal general_form."""
+    problem = torn_grid(change=unsymmetric(share, skew=skew), **WIDE)
+    context = solved(feti(problem.A, feti_type=kind, ksp_rtol=1e-11), problem)
+    agree(context.message == "" and context.method == "gmres", context.message)
+    report = context.report()
+    agree((report.formulation, report.interior) == ("primal", "kept"), report)
+    agree(context.inertia.assembled is None)
+
+
+@pytest.mark.parametrize("components", [1, 2])
+@pytest.mark.parametrize("scaling", ["stiffness", "multiplicity"])
+def test_unsymmetric_pattern(scaling, components, torn_grid, feti):
+    """Entries without a mirror: ½ (K + Kᵀ) has another pattern than K, and other rows."""
+    problem = torn_grid((3, 2), (7, 7), components=components, change=one_sided(0.02))
+    context = solved(feti(problem.A, feti_scaling=scaling, ksp_rtol=1e-11), problem)
+    agree(context.method == "gmres" and context.iterations < 25, context.iterations)
+
+
+def test_fresh_starts(torn_grid, feti, monkeypatch):
+    """A few vectors are enough where fresh starts follow; where none does, the message says so."""
+    monkeypatch.setattr(module, "RESTART", 8)
+    problem = torn_grid(change=unsymmetric(0.1, skew=True), **WIDE)
+    ksp = feti(problem.A, ksp_rtol=1e-10)
+    agree(solved(ksp, problem, 1e-7).iterations > 8)
+    monkeypatch.setattr("dolfinx_feti.feti.solver.RESTARTS", 0)
+    agree(solve(ksp, problem, random_values(problem))[0] == Reason.DIVERGED_BREAKDOWN)
+    agree("stagnates" in ksp.getPythonContext().message)
+
+
+def test_singular_symmetric_part(torn_grid, feti):
+    """A dof inside that only a skew part holds: the message asks for other subdomains."""
+
+    def change(K, dofs):
+        j = 2 * 5  # an inner node of the first subdomain
+        K[0][j] = -K[0][:, j]
+        K[0][j, j] = 0.0
+
+    problem = torn_grid(change=change, **WIDE)
+    ksp = feti(problem.A)
+    agree(solve(ksp, problem, random_values(problem))[0] == Reason.DIVERGED_PCSETUP_FAILED)
+    context = ksp.getPythonContext()
+    agree("symmetric part" in context.message and "other subdomains" in context.message)
+    agree(not context.singular)
