@@ -1,17 +1,18 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Assembly of the torn matrix, and of residuals and energies: one form, one call.
+r"""Assembly of the torn matrix, of residuals and energies, and of arrays cell by cell.
 
 .. math:: K_i[a, b] = ⟨φ_b, A'(U)\, φ_a⟩_{Ω_{0,i}}
 
 (eq. 27, on a subdomain). Dirichlet conditions (eq. 7, Augustin_eq:Dirichlet) never enter K: the
-matrix carries the list of their dofs (``torn``). dolfinx and PETSc read the same memory.
+matrix carries the list of their dofs (``torn``). dolfinx and PETSc read the same memory. What
+``condensation`` solves is an array for each of several forms, see :func:`cell_tensors`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from petsc4py import PETSc
@@ -89,18 +90,13 @@ def require_no_coupling(form: ufl.Form) -> None:
 class LocalMatrix:
     """A matrix of this process, filled by dolfinx and read by PETSc: both have the same entries.
 
-    Attributes:
-        csr: dolfinx's matrix.
-        mat: PETSc's, sequential AIJ, which the owner destroys. What changes the entries by way of
-            ``csr`` calls its ``stateIncrease``.
-        node: Torn nodes (blocks of dofs) of each owned cell, (cells, k).
-        place: Where the columns of a node are in the rows of another, (cells, k, k).
+    What changes the entries by way of ``csr`` calls PETSc's ``stateIncrease``.
     """
 
     csr: dolfinx.la.MatrixCSR
-    mat: PETSc.Mat
-    node: Indices
-    place: Indices
+    mat: PETSc.Mat  # sequential AIJ, which the owner destroys
+    node: Indices  # torn nodes (blocks of dofs) of each owned cell, (cells, k)
+    place: Indices  # where the columns of a node are in the rows of another, (cells, k, k)
 
 
 def create_csr(spaces: tuple[TornSpace, TornSpace], compiler: Compiler) -> dolfinx.la.MatrixCSR:
@@ -198,6 +194,66 @@ def dirichlet_mask(V: dolfinx.fem.FunctionSpace, bcs: Sequence[dolfinx.fem.Diric
         dofs, _ = bc._cpp_object.dof_indices()
         mask[dofs[dofs < len(mask)]] = True
     return mask
+
+
+def cell_tensors(
+    forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh, compiler: Compiler
+) -> Callable[[], list[Array]]:
+    """Compile forms that couple no cells, of which some may be zero. Collective.
+
+    The result integrates them at the present state in one visit of each cell, and returns for each
+    form (cells, …) with the dofs of a cell for each argument, in the order of the element.
+    """
+    for form in forms:
+        require_no_coupling(form)
+    cells = mesh.topology.index_map(mesh.topology.dim).size_local
+    widths = [[_width(a.ufl_function_space()) for a in form.arguments()] for form in forms]
+    shapes = [(cells, *width) for width in widths]
+    kernels, parts = compile_cells(forms, mesh, compiler.cache)
+    rest = {
+        i: _assembler(form, shapes[i], compiler) for i, form in enumerate(parts) if not form.empty()
+    }
+
+    def assemble() -> list[Array]:
+        values = [np.zeros(shape) for shape in shapes]
+        for numbers, kernel in kernels:
+            for i, part in zip(numbers, kernel.evaluate(), strict=True):
+                values[i][kernel.rows] += part
+        for i, assemble_rest in rest.items():
+            values[i] += assemble_rest()
+        return values
+
+    return assemble
+
+
+def _assembler(form: ufl.Form, shape: tuple[int, ...], compiler: Compiler) -> Callable[[], Array]:
+    """Compile a form for dolfinx, with dofs of its own for each cell, in the cell's order."""
+    spaces = [_broken(a.ufl_function_space(), shape[0]) for a in form.arguments()]
+    compiled = dolfinx_form(form, spaces, compiler)
+    if len(spaces) < 2:
+        return lambda: dolfinx.fem.assemble_vector(compiled).array.reshape(shape)
+    csr = create_csr((spaces[0], spaces[1]), compiler)  # rows have the columns of their cell
+
+    def matrix() -> Array:
+        csr.data[:] = 0.0
+        dolfinx.fem.assemble_matrix(csr, compiled)  # type: ignore[arg-type]
+        return np.asarray(csr.data).reshape(shape)
+
+    return matrix
+
+
+def _width(V: dolfinx.fem.FunctionSpace) -> int:
+    """Return the number of dofs of a cell."""
+    return int(V.dofmap.list.shape[1]) * V.dofmap.bs
+
+
+def _broken(V: dolfinx.fem.FunctionSpace, cells: int) -> TornSpace:
+    """Give each owned cell dofs of its own; one by one, as dolfinx's rectangular matrices need."""
+    width = _width(V)
+    table = np.zeros((len(V.dofmap.list), width), dtype=np.int32)
+    table[:cells] = np.arange(cells * width, dtype=np.int32).reshape(cells, width)
+    torn = compat.create_function_space(V, table, cells * width, block_size=1)
+    return TornSpace(V, torn, table[:0].ravel(), table[:0].ravel().astype(np.int64))
 
 
 def _first(argument: ufl.Argument) -> ufl.core.expr.Expr:

@@ -22,10 +22,9 @@ import numpy as np
 import dolfinx
 import ufl
 
-from dolfinx_feti.fem.assembly import LocalMatrix
+from dolfinx_feti.fem.assembly import LocalMatrix, cell_tensors
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
-from dolfinx_feti.fem.tensors import cell_tensors
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.native import load, pointer
 
@@ -47,19 +46,11 @@ void subtract_products(int, int, int, int, const int *, const int *, const doubl
 
 @dataclass(frozen=True, slots=True)
 class Blocks:
-    """What belongs to the condensed fields at one state, cell by cell.
+    """Of the fields in each cell with d dofs of u and n of them, one field after the other."""
 
-    A cell has d dofs of u and n of the fields, one field after the other.
-
-    Attributes:
-        k_up: K_up, (cells, d, n).
-        slope: K_pp⁻¹ K_pu, (cells, n, d).
-        excess: K_pp⁻¹ r_p, (cells, n, 1).
-    """
-
-    k_up: Array
-    slope: Array
-    excess: Array
+    k_up: Array  # K_up, (cells, d, n)
+    slope: Array  # K_pp⁻¹ K_pu, (cells, n, d)
+    excess: Array  # K_pp⁻¹ r_p, (cells, n, 1)
 
 
 class Condensation:
@@ -82,12 +73,8 @@ class Condensation:
     ) -> None:
         """Derive and compile the blocks of the residual F_u and of one F_p for each field.
 
-        Raises:
-            ValueError: A field does not occur in the residuals, they leave it undetermined, or
-                couple two cells.
-
-        Note:
-            Collective.
+        Raises a ValueError if a field does not occur in the residuals, they leave it undetermined,
+        or couple two cells. Collective.
         """
         for p in fields:
             if not any(p in _expanded(F).coefficients() for F in (F_u, *F_p)):
@@ -149,12 +136,11 @@ class Condensation:
             values = self.values()
             values[self._place] -= step
             self.set_values(values)
-            columns = np.cumsum(self._widths)[:-1]
-            fields = (np.split(np.abs(a), columns, axis=1) for a in (step, values[self._place]))
-            if all(
-                moved.max(initial=0.0) <= RELAXED * value.max(initial=0.0)
-                for moved, value in zip(*fields, strict=True)
-            ):
+            moved, sizes = (
+                [part.max(initial=0.0) for part in self._by_field(np.abs(a))]
+                for a in (step, values[self._place])
+            )
+            if np.all(moved <= RELAXED * np.array(sizes)):
                 break
 
     def prepare_multipliers(self) -> None:
@@ -166,7 +152,7 @@ class Condensation:
             ones.append(one.x.array)
         forms = [ufl.TestFunction(p.function_space) * ufl.dx for p in self.fields]
         volumes = cell_tensors(forms, self._u.function_space.mesh, self._compiler)()
-        each = np.split(np.concatenate(ones)[self._place], np.cumsum(self._widths)[:-1], axis=1)
+        each = self._by_field(np.concatenate(ones)[self._place])
         means = [
             tied * c / (c * volume).sum(axis=1, keepdims=True)
             for tied, c, volume in zip(self._tied, each, volumes, strict=True)
@@ -233,6 +219,10 @@ class Condensation:
         n, k = self._node.shape
         dofs = self._node[:, :, None] * self._bs + np.arange(self._bs, dtype=np.int32)
         return dofs.reshape(n, k * self._bs)
+
+    def _by_field(self, values: Array) -> list[Array]:
+        """Split what belongs to all fields of a cell, (cells, n)."""
+        return np.split(values, np.cumsum(self._widths)[:-1], axis=1)
 
     def _assembled(self) -> tuple[Array, Array, Array, Array]:
         """Assemble K_up, (cells, d, n), K_pu, K_pp and r_p(u, p) − r_p(0, λ), (cells, n, 1)."""

@@ -19,18 +19,11 @@ LARGE = 10**9
 
 @dataclass(frozen=True)
 class Content:
-    """What the forms of a problem hold.
+    """What the forms of a problem hold."""
 
-    Attributes:
-        unknowns: u and the fields that are condensed.
-        coefficients: All Functions in the forms.
-        constants: All Constants in them, in the order of their creation.
-        forms: The forms.
-    """
-
-    unknowns: tuple[dolfinx.fem.Function, ...]
+    unknowns: tuple[dolfinx.fem.Function, ...]  # u and the fields that are condensed
     coefficients: tuple[dolfinx.fem.Function, ...] = ()
-    constants: tuple[dolfinx.fem.Constant, ...] = ()
+    constants: tuple[dolfinx.fem.Constant, ...] = ()  # in the order of their creation
     forms: tuple[ufl.Form, ...] = ()
 
     @cached_property

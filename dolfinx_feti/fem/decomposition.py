@@ -54,19 +54,12 @@ class Decomposition:
 
 @dataclass(frozen=True, slots=True)
 class TornSpace:
-    """A function space and its torn counterpart.
+    """A function space and its torn counterpart."""
 
-    Attributes:
-        V: The user's space.
-        V_torn: Same mesh and element, torn dofs, on this process alone.
-        dof: Local dof (block) of V behind each torn dof (block), (n_blocks,).
-        to_global: Its global number, (n_blocks,).
-    """
-
-    V: dolfinx.fem.FunctionSpace
-    V_torn: dolfinx.fem.FunctionSpace
-    dof: Indices
-    to_global: Numbers
+    V: dolfinx.fem.FunctionSpace  # the user's
+    V_torn: dolfinx.fem.FunctionSpace  # same mesh and element, torn dofs, on this process alone
+    dof: Indices  # local dof (block) of V behind each torn dof (block), (n_blocks,)
+    to_global: Numbers  # its global number, (n_blocks,)
 
 
 def suggested_number(V: dolfinx.fem.FunctionSpace, least: int = 1) -> int:

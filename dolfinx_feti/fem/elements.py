@@ -22,15 +22,11 @@ Floats = npt.NDArray[np.floating]
 def quadratic_with_bubbles(cell: str, *, faces: bool = True) -> basix.ufl._ElementBase:
     """Enrich quadratic elements by the bubbles of cells, and of the faces of a tetrahedron.
 
-    Args:
-        cell: ``triangle`` or ``tetrahedron``.
-        faces: Whether faces have bubbles.
-
     Returns:
         A scalar element, of which ``basix.ufl.blocked_element`` makes that of a displacement.
 
     Raises:
-        ValueError: Another cell.
+        ValueError: The cell is neither ``triangle`` nor ``tetrahedron``.
     """
     if cell not in ("triangle", "tetrahedron"):
         raise ValueError(f"cell is {cell!r}: bubbles are made for 'triangle' and 'tetrahedron'.")

@@ -27,19 +27,16 @@ def one_side(mesh: dolfinx.mesh.Mesh, facets: Integers) -> Indices:
         ds = ufl.Measure("ds", mesh, subdomain_data=[(1, one_side(mesh, membrane))])
         a += k * ufl.inner(u, v) * ds(1)
 
-    A surface needs a number. Where there are several, boundary included, each has one, in one list:
-    to UFL a ds without a number is everywhere, also on those with one.
+    A surface needs a number, and so does each of several, boundary included, in one list: to UFL a
+    ds without a number is everywhere, also on those with one. Normals point out of the cell.
 
     Args:
         mesh: The mesh.
         facets: Facets that this process owns or has a copy of, inside or on the boundary.
 
     Returns:
-        Pairs of an owned cell and the number of the facet in it, one after the other, which
-        ``ufl.Measure`` takes as ``subdomain_data``; each facet once over all processes.
-
-    Note:
-        The normal of such a surface points out of the cell that was chosen, of lower number.
+        Pairs of an owned cell, that of lower number, and the number of the facet in it, one after
+        the other, which ``ufl.Measure`` takes; each facet once over all processes.
     """
     tdim = mesh.topology.dim
     mesh.topology.create_connectivity(tdim - 1, tdim)

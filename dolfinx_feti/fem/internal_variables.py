@@ -15,8 +15,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from mpi4py import MPI
-
 import dolfinx
 import ufl
 from ufl.algorithms import extract_coefficients
@@ -29,17 +27,11 @@ from dolfinx_feti.runtime.compat import interpolation_points
 
 @dataclass(frozen=True, slots=True)
 class InternalVariables:
-    """Internal variables ξ and their updates.
+    """Internal variables ξ and their updates."""
 
-    Attributes:
-        functions: ξ, one Function each.
-        updates: Ξ, compiled at the points of their elements.
-        balanced: Whether each is in the balance of forces.
-    """
-
-    functions: tuple[dolfinx.fem.Function, ...]
-    updates: tuple[dolfinx.fem.Expression, ...]
-    balanced: tuple[bool, ...]
+    functions: tuple[dolfinx.fem.Function, ...]  # ξ, one Function each
+    updates: tuple[dolfinx.fem.Expression, ...]  # Ξ, compiled at the points of their elements
+    balanced: tuple[bool, ...]  # whether each is in the balance of forces
 
     def update(self, *, balanced: bool | None = None) -> None:
         """Let every ξ, or those that are ``balanced`` or not, be its Ξ now. Collective."""
@@ -59,19 +51,15 @@ def create_internal_variables(
     *,
     coefficients: Collection[dolfinx.fem.Function] = (),
 ) -> InternalVariables:
-    """Check and compile the update Ξ, of ξ's shape, of each Function ξ.
+    """Check and compile the update Ξ, of ξ's shape, of each Function ξ. Collective.
 
     Those among the coefficients are in the balance of forces.
 
     Raises:
         TypeError: A key is no Function.
-        ValueError: A Function has dofs that cells share, or is on another mesh, or its update has
-            another shape.
-
-    Note:
-        Collective; raises on all processes.
+        ValueError: A Function has dofs that cells share, or its update has another shape.
     """
-    on_all(lambda: _check(updates, compiler.comm), compiler.comm)
+    on_all(lambda: _check(updates), compiler.comm)
     compiled = [
         compiler.expression(update, interpolation_points(ξ.function_space))
         for ξ, update in updates.items()
@@ -83,7 +71,7 @@ def create_internal_variables(
     return InternalVariables(tuple(updates), tuple(compiled), tuple(ξ in reached for ξ in updates))
 
 
-def _check(updates: Mapping[dolfinx.fem.Function, Expr], comm: MPI.Comm) -> None:
+def _check(updates: Mapping[dolfinx.fem.Function, Expr]) -> None:
     """Require discontinuous Functions, and updates of their shapes."""
     for ξ, update in updates.items():
         if not isinstance(ξ, dolfinx.fem.Function):

@@ -9,7 +9,6 @@ on quadratic elements its estimate makes the compiled code a thousand times slow
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -30,9 +29,6 @@ __all__ = [
     "same_points",
 ]
 
-#: Under type and part of the domain of integrals, their degree.
-Degrees = dict[tuple[str, object], int]
-
 
 def limit_quadrature_degree(form: ufl.Form, degree: int | None = None) -> ufl.Form:
     """Lower the quadrature degree of integrals whose estimated degree is too high.
@@ -50,46 +46,50 @@ def limit_quadrature_degree(form: ufl.Form, degree: int | None = None) -> ufl.Fo
         ValueError: If ``degree`` is negative.
     """
     if degree is None:
-        elements = [f.ufl_element() for f in (*form.arguments(), *form.coefficients())]
+        elements = ufl.algorithms.extract_elements(form)
         degree = 2 * max((e.embedded_superdegree or 0 for e in elements), default=1)
     if degree < 0:
         raise ValueError(f"degree = {degree}: give a quadrature degree of zero or more.")
-    return ufl.Form([_limit(integral, degree) for integral in form.integrals()])
+    return ufl.Form(
+        [
+            _with_degree(integral, degree)
+            if estimated_quadrature_degree(ufl.Form([integral])) > degree
+            else integral
+            for integral in form.integrals()
+        ]
+    )
 
 
 def estimated_quadrature_degree(form: ufl.Form) -> int:
     """Return the highest degree that UFL estimates for integrals that state none; 0 for none."""
-    estimated = [i for i in form.integrals() if _stated(i.metadata()) < 0]
+    estimated = [integral for integral in form.integrals() if not _states_rule(integral)]
     return max(_degrees(ufl.Form(estimated)).values(), default=0)
 
 
 def match_quadrature_degree(energy: ufl.Form, residual: ufl.Form) -> ufl.Form:
-    """Give the integrals of an energy that state no degree that of its residual.
+    """Give the integrals of an energy Π(u) that state no degree that of its residual.
 
     UFL estimates a higher degree for a derivative. Integrated by two rules, an energy would fall in
     a direction that is not quite that of the residual, and near the solution not at all.
-
-    Args:
-        energy: Π(u).
-        residual: Its derivative, and perhaps other terms.
     """
-    kinds = {i.integral_type() for i in energy.integrals() if not _states(i.metadata())}
+    kinds = {i.integral_type() for i in energy.integrals() if not _states_rule(i)}
     known = _degrees(ufl.Form([i for i in residual.integrals() if i.integral_type() in kinds]))
-    return ufl.Form([_match(integral, known) for integral in energy.integrals()])
+
+    def matched(integral: ufl.Integral) -> ufl.Integral:
+        parts = integral.subdomain_id()
+        keys = {
+            (integral.integral_type(), p) for p in (parts if isinstance(parts, tuple) else [parts])
+        }
+        found = [known[key] for key in keys & known.keys()]
+        return (
+            integral if _states_rule(integral) or not found else _with_degree(integral, max(found))
+        )
+
+    return ufl.Form(list(map(matched, energy.integrals())))
 
 
-def _match(integral: ufl.Integral, known: Degrees) -> ufl.Integral:
-    """The integral with the degree that is known for its type and part of the domain."""
-    parts = integral.subdomain_id()
-    kind, parts = integral.integral_type(), parts if isinstance(parts, tuple) else (parts,)
-    found = [known[kind, part] for part in parts if (kind, part) in known]
-    if _states(integral.metadata()) or not found:
-        return integral
-    return _with_degree(integral, max(found))
-
-
-def _degrees(form: ufl.Form) -> Degrees:
-    """Find the degrees of the integrals of a form, as the form compiler does.
+def _degrees(form: ufl.Form) -> dict[tuple[str, object], int]:
+    """Find the degrees of the integrals of each type and part of the domain, as FFCx does.
 
     Where some integrals state a degree and others do not, it is UFL's estimate for these.
     """
@@ -98,7 +98,7 @@ def _degrees(form: ufl.Form) -> Degrees:
     data = ufl.algorithms.compute_form_data(
         form, do_apply_integral_scaling=True, do_append_everywhere_integrals=False
     )
-    found: Degrees = {}
+    found = {}
     for group in data.integral_data:
         known = [integral.metadata() for integral in group.integrals]
         free = [int(np.max(m["estimated_polynomial_degree"])) for m in known if _stated(m) < 0]
@@ -108,32 +108,23 @@ def _degrees(form: ufl.Form) -> Degrees:
     return found
 
 
-def _stated(metadata: Mapping[str, Any]) -> int:
+def _stated(metadata: dict[str, Any]) -> int:
     """Return the degree that an integral states; a negative one for none, as in FFCx."""
     return int(metadata.get("quadrature_degree", -1))
 
 
-def _states(metadata: Mapping[str, Any]) -> bool:
+def _states_rule(integral: ufl.Integral) -> bool:
     """Return whether an integral states its quadrature."""
-    return "quadrature_rule" in metadata or _stated(metadata) >= 0
+    return "quadrature_rule" in integral.metadata() or _stated(integral.metadata()) >= 0
 
 
 def _with_degree(integral: ufl.Integral, degree: int) -> ufl.Integral:
     return integral.reconstruct(metadata={**integral.metadata(), "quadrature_degree": degree})
 
 
-def _limit(integral: ufl.Integral, degree: int) -> ufl.Integral:
-    """Return the integral with at most this quadrature degree, unless it states its own."""
-    if _states(integral.metadata()):
-        return integral
-    enough = estimated_quadrature_degree(ufl.Form([integral])) <= degree
-    return integral if enough else _with_degree(integral, degree)
-
-
 def quadrature_points(mesh: dolfinx.mesh.Mesh, degree: int) -> Array:
     """Return the points of the reference cell's quadrature rule, (points, dimension)."""
-    cell = getattr(basix.CellType, mesh.topology.cell_name())
-    return np.asarray(basix.make_quadrature(cell, degree)[0])
+    return np.asarray(basix.make_quadrature(mesh.basix_cell(), degree)[0])
 
 
 def quadrature_rule(expression: ufl.core.expr.Expr) -> tuple[Array, Array] | None:
@@ -142,8 +133,9 @@ def quadrature_rule(expression: ufl.core.expr.Expr) -> tuple[Array, Array] | Non
     Raises:
         ValueError: There are several rules, so that the expression has a value at no point.
     """
-    coefficients = ufl.algorithms.extract_coefficients(expression)
-    rules = [rule for f in coefficients for rule in _rules(f.ufl_element())]
+    elements = ufl.algorithms.extract_elements(expression)
+    parts = ufl.algorithms.analysis.extract_sub_elements(elements)
+    rules = [e.custom_quadrature() for e in parts if e.has_custom_quadrature]
     for points, _ in rules[1:]:
         if not same_points(points, rules[0][0]):
             raise ValueError(
@@ -156,13 +148,3 @@ def quadrature_rule(expression: ufl.core.expr.Expr) -> tuple[Array, Array] | Non
 def same_points(points: npt.ArrayLike, others: npt.ArrayLike) -> bool:
     """Tell whether two sets of points of the reference cell are the same, in the same order."""
     return np.shape(points) == np.shape(others) and np.allclose(points, others, rtol=0, atol=1e-12)
-
-
-def _rules(element: Any) -> Iterator[tuple[Array, Array]]:
-    """Return the rules of an element and of the elements that it is made of."""
-    if element.has_custom_quadrature:
-        points, weights = element.custom_quadrature()
-        yield np.asarray(points), np.asarray(weights)
-    else:
-        for part in element.sub_elements:
-            yield from _rules(part)

@@ -81,15 +81,9 @@ class Point:
         self._known: dict[Expr, int] = {}
 
     def add(self, form: int, integrand: Expr, rank: int) -> None:
-        """Add an integrand.
+        """Add an integrand without compound operators, of the form with this number and rank.
 
-        Args:
-            form: Number of its form.
-            integrand: Of a cell, without compound operators.
-            rank: Number of its arguments.
-
-        Raises:
-            NotImplementedError: There is something in it that only FFCx can compile.
+        Raises a NotImplementedError if there is something in it that only FFCx can compile.
         """
         scalars = build_scalar_graph(map_integrand_dags(_Frame(), integrand))
         graph = compute_argument_factorization(scalars, rank)
@@ -130,28 +124,23 @@ class Point:
         if is_modified_terminal(node):
             return self._terminal(node)
         tape, a = self.tape, [self._known[operand] for operand in node.ufl_operands]
-        match node:
-            case classes.Sum():
-                return tape.add(*a)
-            case classes.Product():
-                return tape.multiply(*a)
-            case classes.Division():
-                return tape.divide(*a)
-            case classes.Power():
-                exponent = node.ufl_operands[1]
-                if isinstance(exponent, classes.ScalarValue):
-                    n = float(exponent)
-                    if abs(n) in range(1, POWER + 1):
-                        product = tape.power(a[0], int(abs(n)))
-                        return product if n > 0.0 else tape.divide(tape.number(1.0), product)
-                return tape.value("power", *a)
-            case classes.Conditional():
-                return tape.choose(*a)
-            case classes.MaxValue():
-                return tape.choose(tape.value("gt", *a), *a)
-            case classes.MinValue():
-                return tape.choose(tape.value("lt", *a), *a)
         name = {"ln": "log"}.get(node._ufl_handler_name_, node._ufl_handler_name_)
+        match name:
+            case "sum":
+                return tape.add(*a)
+            case "product":
+                return tape.multiply(*a)
+            case "division":
+                return tape.divide(*a)
+            case "conditional":
+                return tape.choose(*a)
+            case "max_value" | "min_value":
+                return tape.choose(tape.value("gt" if name == "max_value" else "lt", *a), *a)
+            case "power" if isinstance(node.ufl_operands[1], classes.ScalarValue):
+                n = float(node.ufl_operands[1])
+                if abs(n) in range(1, POWER + 1):
+                    product = tape.power(a[0], int(abs(n)))
+                    return product if n > 0.0 else tape.divide(tape.number(1.0), product)
         if name in FUNCTIONS:
             return tape.value("function", *a, integers=[FUNCTIONS.index(name)])
         return tape.value(name, *a)

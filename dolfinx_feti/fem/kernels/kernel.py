@@ -74,22 +74,16 @@ class Kernel:
     def evaluate(self) -> list[Array]:
         """Integrate over each cell at the present state.
 
-        Returns:
-            For each form (cells, …), with the dofs of a cell for each argument, in the order of the
-            element.
+        Each form has (cells, …), the dofs of a cell for each argument in the element's order.
         """
         results = [np.empty((self._count, *shape)) for shape in self.program.shapes.values()]
         self._run("evaluate", self._pointers("double", results))
         return results
 
     def add_to(self, values: Array, indptr: Numbers, node: Indices, place: Indices) -> None:
-        """Add the only form, which is bilinear, to a matrix.
+        """Add the only form, which is bilinear, to the values of a matrix with rows from indptr on.
 
-        Args:
-            values: Entries of the matrix, row by row.
-            indptr: Where each row begins.
-            node: Blocks of dofs of each cell, (cells, k).
-            place: Where the columns of a block are in the rows of another, (cells, k, k).
+        Cells have k nodes, (cells, k), and columns of nodes a place in rows, (cells, k, k).
         """
         arrays = (pointer(self.code, a) for a in (node, place, indptr, values))
         (shape,), n = self.program.shapes.values(), node.shape[1]
@@ -120,20 +114,10 @@ def create_kernels(
     cells: Indices | None = None,
     cache: Path | None = None,
 ) -> list[tuple[list[int], Kernel]] | None:
-    """Compile forms of integrals over cells.
+    """Compile forms of integrals over all owned cells, or those of a list. Collective.
 
-    Args:
-        forms: The forms.
-        mesh: Their mesh.
-        cells: Owned cells that are integrated over; all if not given.
-        cache: Folder for the code in the place of the package's own.
-
-    Returns:
-        Kernels, one for each quadrature degree, with the numbers of their forms; None where only
-        FFCx can compile an integrand.
-
-    Note:
-        Collective.
+    Returns kernels, one for each quadrature degree, with the numbers of their forms; None where
+    only FFCx can compile an integrand. The code is kept in the cache, or the package's own.
     """
     functions = list(dict.fromkeys(f for form in forms for f in form.coefficients()))
     constants = list(dict.fromkeys(c for form in forms for c in form.constants()))

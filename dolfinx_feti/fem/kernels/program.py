@@ -35,17 +35,11 @@ POINTS, GROUPS, VECTOR = 22, 12, 64
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """What is made of forms whose integrals have one quadrature degree.
+    """What is made of forms whose integrals have one quadrature degree."""
 
-    Attributes:
-        shapes: Dofs of a cell for each argument, under the number of each form.
-        text: Sizes of loops and instructions, in C.
-        fields: Integers and arrays of C's structure.
-    """
-
-    shapes: dict[int, tuple[int, ...]]
-    text: str
-    fields: dict[str, int | npt.NDArray[Any]]
+    shapes: dict[int, tuple[int, ...]]  # dofs of a cell for each argument, of each form's number
+    text: str  # sizes of loops and instructions, in C
+    fields: dict[str, int | npt.NDArray[Any]]  # of C's structure
 
 
 def generate(
@@ -54,11 +48,7 @@ def generate(
     functions: Sequence[dolfinx.fem.Function],
     constants: Sequence[dolfinx.fem.Constant],
 ) -> list[Program]:
-    """Write the programs, one for each quadrature degree, for forms with these coefficients.
-
-    Raises:
-        NotImplementedError: Only FFCx can compile an integrand.
-    """
+    """Write the programs, one for each quadrature degree, for forms with these coefficients."""
     points: dict[int, Point] = {}
     for number, form in enumerate(forms):
         data = ufl.algorithms.compute_form_data(
@@ -119,19 +109,7 @@ def _program(
     places = list(accumulate(sizes))  # of what follows the tape's registers
     tables = [np.moveaxis(np.asarray(e.tabulate(1, x)), 0, -1).ravel() for e in point.elements]
     straight = point.elements[0].degree == 1 and len(basix.topology(cell)[gdim][0]) == gdim + 1
-    lists = {
-        "begin": begin,
-        "nodes": nodes,
-        "gradients": [e in point.gradients for e in range(len(nodes))],
-        "tables": [0, *accumulate(map(len, tables))],
-        "element": element,
-        "block": [block for _, block in used],
-        "phi": places[: len(nodes)],
-        "w": places[len(nodes) : -3],
-        "tape": tape,
-        "contractions": [*contractions, -1],
-    }
-    fields: dict[str, int | npt.NDArray[Any]] = {
+    data: dict[str, Any] = {
         "size": begin[-1],
         "forms": len(shapes),
         "elements": len(nodes),
@@ -144,10 +122,20 @@ def _program(
         "weight": weights,
         "table": np.concatenate(tables),
         "literals": np.array([*point.tape.literals.values()]),
-        **{name: np.array(values, dtype=np.int32) for name, values in lists.items()},
+        "tape": tape,
+        "begin": begin,
+        "nodes": nodes,
+        "gradients": [e in point.gradients for e in range(len(nodes))],
+        "tables": [0, *accumulate(map(len, tables))],
+        "element": element,
+        "block": [block for _, block in used],
+        "phi": places[: len(nodes)],
+        "w": places[len(nodes) : -3],
+        "contractions": [*contractions, -1],
     }
+    lists = {k: np.array(v, dtype=np.int32) for k, v in data.items() if isinstance(v, list)}
     text = f"enum {{ GDIM = {gdim}, N = {n}, GROUPS = {groups} }};{HEADER}"
-    return Program(shapes, text, fields)
+    return Program(shapes, text, {**data, **lists})
 
 
 def _blocks(factors: Mapping[tuple[Slot, ...], int], first: int, width: int) -> list[int]:

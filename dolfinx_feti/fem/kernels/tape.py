@@ -142,14 +142,9 @@ class Tape:
         return self._known[key]
 
     def program(self, outputs: set[int], size: int) -> tuple[Indices, dict[int, int], int]:
-        """Write the instructions that leave the outputs in registers of their own.
+        """Write the instructions that leave the outputs in registers of their own, of a size.
 
-        Args:
-            outputs: Values.
-            size: Bytes of a register.
-
-        Returns:
-            The instructions, the place of each value in bytes, and the number of registers.
+        Returns them, the place of each value in bytes, and the number of registers.
         """
         instructions = self._instructions(outputs)
         last = {a: v for v, groups in instructions.items() for group in groups for a in group}
