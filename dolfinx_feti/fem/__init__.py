@@ -4,5 +4,5 @@
 """Finite elements: a mesh cut into subdomains, and forms assembled on them.
 
 In the order of the data: elements, quadrature, nodes, compiler, facets, decomposition, kernels,
-regions, assembly, near_kernel, condensation, internal_variables, checks, content.
+assembly, near_kernel, condensation, internal_variables, checks, content.
 """

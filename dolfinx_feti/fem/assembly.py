@@ -25,15 +25,11 @@ import ufl
 
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace
-from dolfinx_feti.fem.kernels.kernel import Kernel
-from dolfinx_feti.fem.regions import compile_cells
+from dolfinx_feti.fem.kernels.kernel import Kernel, compile_cells
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Indices, Mask
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.torn.matrix import create_torn_matrix
-
-#: Rows of dofs and not of blocks, as PETSc has them.
-EXPANDED = dolfinx.la.BlockMode.expanded  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +104,8 @@ def create_csr(spaces: tuple[TornSpace, TornSpace], compiler: Compiler) -> dolfi
     form = v * u * ufl.dx(metadata={"quadrature_degree": 0})
     pattern = dolfinx.fem.create_sparsity_pattern(dolfinx_form(form, spaces, compiler))
     pattern.finalize()
-    return dolfinx.la.matrix_csr(pattern, EXPANDED)
+    mode = dolfinx.la.BlockMode.expanded  # type: ignore[attr-defined]
+    return dolfinx.la.matrix_csr(pattern, mode)  # with rows of dofs, as PETSc has them
 
 
 @event("FETIPattern")

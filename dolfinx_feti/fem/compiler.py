@@ -27,17 +27,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Compiler:
-    """How forms and expressions are compiled.
+    """How forms and expressions are compiled."""
 
-    Attributes:
-        comm: Communicator of the mesh.
-        form_compiler_options: Options of FFCx, see ``ffcx --help``.
-        jit_options: Options of the C compiler and its cache, see ``dolfinx.jit``.
-    """
-
-    comm: MPI.Comm
-    form_compiler_options: Mapping[str, object] | None = None
-    jit_options: Mapping[str, object] | None = None
+    comm: MPI.Comm  # of the mesh
+    form_compiler_options: Mapping[str, object] | None = None  # of FFCx, see ``ffcx --help``
+    jit_options: Mapping[str, object] | None = None  # of C and its cache, see ``dolfinx.jit``
 
     @property
     def cache(self) -> Path | None:

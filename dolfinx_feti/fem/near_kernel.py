@@ -41,9 +41,7 @@ def attach_near_kernel(A: PETSc.Mat, V: dolfinx.fem.FunctionSpace, u: Array | No
     x[one != 1.0] = np.nan  # such a dof is at no point
     space = A.getNearNullSpace()
     if space.handle and space.handle != A.getAttr("own near kernel"):  # the user's
-        points = PETSc.Vec().createMPI((x.size, None), comm=A.comm)
-        points.array[:] = x.ravel()
-        A.compose("coordinates", points)
+        A.compose("coordinates", PETSc.Vec().createWithArray(x.ravel(), comm=A.comm))
         return
     vectors = [A.createVecRight() for _ in modes]
     for vector, mode in zip(vectors, modes, strict=True):

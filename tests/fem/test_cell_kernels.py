@@ -21,8 +21,7 @@ from dolfinx_feti import kinematics, materials
 from dolfinx_feti.fem.assembly import cell_tensors
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.kernels import kernel
-from dolfinx_feti.fem.kernels.kernel import create_kernels
-from dolfinx_feti.fem.regions import compile_cells
+from dolfinx_feti.fem.kernels.kernel import compile_cells, create_kernels
 
 EPS = np.finfo(float).eps
 

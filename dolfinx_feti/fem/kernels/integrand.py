@@ -9,7 +9,7 @@ derivatives :math:`v_s ∈ \{v_i, ∂_J v_i\}`, it is
 .. math:: \sum_{s t} A_{st}\, v_s u_t, \qquad \sum_s P_s v_s, \qquad Ψ
 
 for a tangent, a residual and an energy. FFCx's analysis expands it into scalar operations and finds
-the factors A, P, Ψ, which know of the state alone; here they become one value for each operation.
+the factors A, P, Ψ, which know of the state alone.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Cell integrals of several forms in one visit of each cell, of eight cells at a time.
 
-Points are visited a few at a time, or several groups of eight cells at once. Values agree with
-dolfinx's to rounding, and what is no number there is none here. Forms are data: the C code depends
-on the dimension and the number of quadrature points alone.
+A region is all cells, or those with one number in the data of the measure: its integrals are one
+integrand, as in dolfinx. Forms are data, the C code depends on the dimension and the number of
+quadrature points alone. Values agree with dolfinx's to rounding, and NaN are NaN.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ _generated: dict[object, list[Program] | None] = {}
 
 #: NaN are left alone, and what is called last is jumped to, at any level of optimisation.
 FLAGS = "-O3 -fno-math-errno -fno-trapping-math -fno-tree-loop-distribute-patterns -Wno-psabi"
+
+NO_CELLS = np.zeros(0, dtype=np.int32)
 
 SOURCE = Path(__file__).with_name("kernel.c")
 DECLARATION = """
@@ -108,6 +110,80 @@ class Kernel:
         return self.code.ffi.new(f"{kind} *[]", [pointer(self.code, a) for a in arrays])
 
 
+def compile_cells(
+    forms: Sequence[ufl.Form], mesh: dolfinx.mesh.Mesh, cache: Path | None = None
+) -> tuple[list[tuple[list[int], Kernel]], list[ufl.Form]]:
+    """Compile the integrals over cells of forms on a mesh, a kernel for each region and degree.
+
+    Returns kernels, each with the numbers of its forms, and of each form what is left to dolfinx:
+    other integrals, and those that only FFCx can compile. Collective.
+    """
+    groups: dict[tuple[int | str, int], dict[int, list[ufl.Integral]]] = {}
+    known: dict[tuple[int | str, int], Indices | None] = {}
+    rest = [ufl.Form([]) for _ in forms]
+    for i, form in enumerate(map(ufl.algorithms.expand_derivatives, forms)):
+        data, cells = _cells_of_numbers(form, mesh)
+        for integral in form.integrals():
+            numbers = _numbers(integral)
+            if not numbers or (cells is None and numbers != ["everywhere"]):
+                rest[i] += ufl.Form([integral])
+                continue
+            for number in numbers:
+                key = number, 0 if number == "everywhere" else data
+                part = integral.reconstruct(subdomain_id=number)
+                groups.setdefault(key, {}).setdefault(i, []).append(part)
+                known[key] = None if number == "everywhere" else (cells or {}).get(number, NO_CELLS)
+    kernels = []
+    for key, group in groups.items():
+        numbered = list(group)
+        inside = [
+            ufl.Form([integral.reconstruct(subdomain_id="everywhere") for integral in integrals])
+            for integrals in group.values()
+        ]
+        created = create_kernels(inside, mesh, known[key], cache)
+        if created is not None:
+            kernels += [([numbered[i] for i in each], kernel) for each, kernel in created]
+            continue
+        for i, integrals in group.items():
+            rest[i] += ufl.Form(integrals)
+    return kernels, rest
+
+
+def _numbers(integral: ufl.Integral) -> list[int | str]:
+    """Return the numbers of an integral over cells, or "everywhere"; none of another one."""
+    rule, numbers = integral.metadata().get("quadrature_rule", "default"), integral.subdomain_id()
+    if integral.integral_type() != "cell" or rule != "default":
+        return []
+    numbers = numbers if isinstance(numbers, tuple) else (numbers,)
+    if all(isinstance(number, (int, np.integer)) for number in numbers):
+        return list(dict.fromkeys(map(int, numbers)))
+    return ["everywhere"] if numbers == ("everywhere",) else []
+
+
+def _cells_of_numbers(
+    form: ufl.Form, mesh: dolfinx.mesh.Mesh
+) -> tuple[int, dict[int | str, Indices] | None]:
+    """Return the identity of the data of the measures and the owned cells of each number.
+
+    The latter are None if only dolfinx knows: there are several data, or cells that occur twice.
+    """
+    given = [integral.subdomain_data() for integral in form.integrals_by_type("cell")]
+    data = {id(known): known for known in given if known is not None}
+    if len(data) != 1:
+        return 0, None
+    ((key, known),) = data.items()
+    topology = mesh.topology
+    if isinstance(known, dolfinx.mesh.MeshTags) and known.dim == topology.dim:
+        known = [(int(number), known.find(number)) for number in np.unique(known.values)]
+    if not isinstance(known, list) or len(dict(known)) < len(known):
+        return key, None
+    cells = {number: np.asarray(found, dtype=np.int32) for number, found in known}
+    if any(len(np.unique(found)) < len(found) for found in cells.values()):
+        return key, None
+    n = topology.index_map(topology.dim).size_local
+    return key, {number: found[(found >= 0) & (found < n)] for number, found in cells.items()}
+
+
 def create_kernels(
     forms: Sequence[ufl.Form],
     mesh: dolfinx.mesh.Mesh,
@@ -125,31 +201,25 @@ def create_kernels(
     gathered = alone and all(_is_gathered(f, mesh) for f in functions)
     if mesh.topology.dim != mesh.geometry.dim or not gathered:
         return None
-    key = tuple(
-        (
-            form.signature(),
-            *map(functions.index, form.coefficients()),
-            *map(constants.index, form.constants()),
-        )
+    places = [
+        [*map(functions.index, form.coefficients()), *map(constants.index, form.constants())]
         for form in forms
-    )
+    ]
+    key = tuple((form.signature(), *place) for form, place in zip(forms, places, strict=True))
     if key not in _generated:
         try:
             _generated[key] = generate(forms, mesh, functions, constants)
         except Exception as error:  # FFCx is asked, and says what it does not know
             _log.debug("FFCx compiles cell integrals: %r", error)
             _generated[key] = None
-    programs = _generated[key]
-    if programs is None:
-        return None
-    flags = [*FLAGS.split(), *processor_flags()]
-    kernels = []
-    for program in programs:
+    programs, flags = _generated[key], [*FLAGS.split(), *processor_flags()]
+
+    def kernel(program: Program) -> Kernel:
         text = program.text
         code = load(SOURCE, DECLARATION, mesh.comm, generated=text, flags=flags, cache=cache)
-        kernel = Kernel(program, mesh, functions, constants, code, cells)
-        kernels.append((list(program.shapes), kernel))
-    return kernels
+        return Kernel(program, mesh, functions, constants, code, cells)
+
+    return None if programs is None else [(list(each.shapes), kernel(each)) for each in programs]
 
 
 def _is_gathered(f: ufl.Coefficient, mesh: dolfinx.mesh.Mesh) -> bool:
@@ -158,9 +228,5 @@ def _is_gathered(f: ufl.Coefficient, mesh: dolfinx.mesh.Mesh) -> bool:
         return False
     V, element = f.function_space, f.function_space.ufl_element()
     bs = 0 if element.is_mixed else element.block_size
-    blocks = V.dofmap.list.shape[1]
-    return bool(
-        V.mesh._cpp_object == mesh._cpp_object
-        and V.dofmap.bs == bs
-        and blocks * bs == V.element.space_dimension
-    )
+    whole = V.dofmap.bs == bs and V.dofmap.list.shape[1] * bs == V.element.space_dimension
+    return bool(whole and V.mesh._cpp_object == mesh._cpp_object)
