@@ -145,14 +145,12 @@ class Condensation:
 
     def prepare_multipliers(self) -> None:
         """Compile what tells the mean of a cell. Collective."""
-        ones = []
-        for p in self.fields:
-            one = dolfinx.fem.Function(p.function_space)
+        ones = [dolfinx.fem.Function(p.function_space) for p in self.fields]
+        for one in ones:
             one.interpolate(lambda x: np.ones(x.shape[1]))
-            ones.append(one.x.array)
         forms = [ufl.TestFunction(p.function_space) * ufl.dx for p in self.fields]
         volumes = cell_tensors(forms, self._u.function_space.mesh, self._compiler)()
-        each = self._by_field(np.concatenate(ones)[self._place])
+        each = self._by_field(np.concatenate([one.x.array for one in ones])[self._place])
         means = [
             tied * c / (c * volume).sum(axis=1, keepdims=True)
             for tied, c, volume in zip(self._tied, each, volumes, strict=True)

@@ -20,15 +20,6 @@ import ufl
 
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = [
-    "estimated_quadrature_degree",
-    "limit_quadrature_degree",
-    "match_quadrature_degree",
-    "quadrature_points",
-    "quadrature_rule",
-    "same_points",
-]
-
 
 def limit_quadrature_degree(form: ufl.Form, degree: int | None = None) -> ufl.Form:
     """Lower the quadrature degree of integrals whose estimated degree is too high.
