@@ -46,13 +46,14 @@ def _looks_symmetric(K: PETSc.Mat) -> bool:
     n = K.getSize()[0]
     if not n:
         return True
+    s = np.sqrt(np.abs(K.getDiagonal().array_r))
+    if s.all():
+        x = np.random.default_rng(n).uniform(1.0, 2.0, n) / s
+        sums = product(K, x) - product(K, x, transpose=True)
+        if np.all(np.abs(sums) <= NO_DOUBT * s):
+            return True
     with rows_of(K) as of_K:
         A = scipy.sparse.csr_array((of_K.values, of_K.indices, of_K.indptr), K.getSize())
-        s, ω = np.sqrt(np.abs(A.diagonal())), np.random.default_rng(n).uniform(1.0, 2.0, n)
-        if s.all():
-            sums = product(K, ω / s) - product(K, ω / s, transpose=True)
-            if np.all(np.abs(sums) <= NO_DOUBT * s):
-                return True
         most = np.abs(A).max(axis=1).toarray().ravel()
         s = np.sqrt(np.maximum(s**2, 1e-8 * most))
         skew = (A - A.T.tocsr()).tocoo()

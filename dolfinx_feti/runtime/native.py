@@ -34,6 +34,7 @@ from typing import Any
 from mpi4py import MPI
 
 import cffi
+import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cython_blas, cython_lapack
 
@@ -49,6 +50,14 @@ PATIENCE = 2.0
 _Key = tuple[Path, str, str, tuple[str, ...], Path | None]
 
 logger = logging.getLogger("dolfinx_feti.compilation")
+
+#: Types of C, by those of arrays.
+_KINDS = {
+    np.dtype(np.float32): "float[]",
+    np.dtype(np.float64): "double[]",
+    np.dtype(np.int32): "int[]",
+    np.dtype(np.int64): "int64_t[]",
+}
 
 #: Attribute of communicators: what all of their processes have loaded.
 _SEEN = MPI.Comm.Create_keyval()
@@ -144,14 +153,13 @@ def pointer(module: Any, array: npt.NDArray[Any], *, order: str = "C") -> Any:
         ValueError: The entries are not consecutive by rows (C) or by columns (F), or not of
             float32, float64, int32 or int64.
     """
-    if not array.flags.c_contiguous if order == "C" else not array.flags.f_contiguous:
+    by_rows = array if order == "C" else array.T
+    if not by_rows.flags.c_contiguous:
         raise ValueError(f"array of shape {array.shape} is not contiguous in {order} order")
-    kind = {"f4": "float[]", "f8": "double[]", "i4": "int[]", "i8": "int64_t[]"}.get(
-        array.dtype.str[1:]
-    )
-    if kind is None or not array.dtype.isnative:
+    kind = _KINDS.get(array.dtype)
+    if kind is None:
         raise ValueError(f"array of {array.dtype}: give float32, float64, int32 or int64")
-    return module.ffi.from_buffer(kind, array.ravel(order="K"))
+    return module.ffi.from_buffer(kind, by_rows)
 
 
 def address_of(name: str) -> int:

@@ -237,7 +237,7 @@ def _independent(A: PETSc.Mat, blocks: Sequence[slice]) -> scipy.sparse.csr_arra
     indptr, indices, values = A.getDiagonalBlock().getValuesCSR()
     size = A.getLocalSize()[0]
     local = scipy.sparse.csr_array((values, indices, indptr), shape=(size, size))
-    combinations = [_unit_energy(local[rows][:, rows].toarray()) for rows in blocks]
+    combinations = [_unit_energy(local[rows, rows].toarray()) for rows in blocks]
     basis = block_diagonal(combinations)
     basis.eliminate_zeros()
     return basis

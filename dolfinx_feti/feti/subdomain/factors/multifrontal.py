@@ -242,7 +242,9 @@ def create_fronts(
     size = np.bincount(np.cumsum(new) - 1).astype(np.int32)
     block = blocks[new]  # of each node
     first, last = block.min(initial=len(number)), block.max(initial=-1)
-    nodes = graph[block][:, first : last + 1][:, block - first]
+    nodes = graph[first : last + 1, first : last + 1]
+    if np.any(np.diff(block) != 1):
+        nodes = nodes[block - first][:, block - first]
     return Fronts(code, rows, number, size, (nodes.indptr, nodes.indices), glued[new])
 
 
