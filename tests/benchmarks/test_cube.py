@@ -73,7 +73,7 @@ def test_records_say_what_the_hand_torn_cube_says(kind, study_of, feti):
         *(Case(subdomains_per_edge=3, type=kind, pc=pc) for pc in cube.PRECONDITIONERS)
     )
     agree(len(records) == 3)
-    problem = paper_cube.cube(3, 1)
+    problem = paper_cube.cube(3)
     for record in records:
         agree(set(record) >= KEYS, KEYS - set(record))
         options = {"type": kind, "pc_type": record["pc"], "scaling": "multiplicity"}

@@ -22,16 +22,9 @@ PREFIX = "newton_"
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A block, clamped on the left, under a force per volume.
+    """A block, clamped on the left, under a force per volume."""
 
-    Attributes:
-        energy: Π(u), the load's potential included.
-        u: Displacement.
-        load: The force.
-        bcs: The clamping.
-    """
-
-    energy: ufl.Form
+    energy: ufl.Form  #: Π(u), the load's potential included
     u: dolfinx.fem.Function
     load: dolfinx.fem.Constant
     bcs: list[dolfinx.fem.DirichletBC]

@@ -26,21 +26,13 @@ INNER, OUTER = 1.0, 1.1
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A body, its unknowns, conditions and energy.
-
-    Attributes:
-        u: Displacement.
-        p: Pressure in each cell, to be condensed.
-        bcs: Dirichlet conditions.
-        ds: Measure of the facets that have a tag.
-        energy: Π(u, p).
-    """
+    """A body with its unknowns; a tag of a surface is its place among those that were marked."""
 
     u: dolfinx.fem.Function
-    p: dolfinx.fem.Function
+    p: dolfinx.fem.Function  #: Pressure in each cell, to be condensed
     bcs: list[dolfinx.fem.DirichletBC]
     ds: ufl.Measure
-    energy: ufl.Form
+    energy: ufl.Form  #: Π(u, p)
 
     def problem(self, scalars, **options) -> NonlinearProblem:
         """Return the problem with scalars."""
@@ -104,9 +96,7 @@ def balloon_pressure(stretch: float) -> float:
 def balloon_cavity(ball: Body, stretch: float = 1.0) -> Cavity:
     """Return its cavity; the volume is that of a stretch of the inner radius."""
     cavity = Cavity(ball.u, ball.ds(1), volume=1.0)
-    rest = cavity.present_volume()
-    assert cavity.volume is not None
-    cavity.volume.value = rest * stretch**3
+    cavity.volume.value = cavity.present_volume() * stretch**3
     return cavity
 
 

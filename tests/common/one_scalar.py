@@ -55,11 +55,6 @@ def slope(stretch: float) -> float:
     return 2.0 * C1 / 3.0 * (stretch ** (1.0 / 3.0) - stretch ** (-5.0 / 3.0))
 
 
-def volumetric(stretch: float) -> float:
-    """∂/∂λ of ½ κ (λ − 1)²."""
-    return KAPPA * (stretch - 1.0)
-
-
 @dataclass
 class Scalar:
     """The same steps by hand; base and face are the entries 0 and 1."""
@@ -83,15 +78,18 @@ class Scalar:
         g = [self.law.g(self.t + x) for x in (0.0, h / 2.0, h)]
         self.v[0] = (4.0 * g[1] - 3.0 * g[0] - g[2]) / h
         self.ü[0] = 4.0 * (g[0] - 2.0 * g[1] + g[2]) / h**2
-        stretch = 1.0 + self.u[1] - self.u[0]
-        fades, δ = self._fading(self.h)
-        force = (1.0 + δ) * slope(stretch) + (fades * self.Q - δ * self.S) * stretch
-        force += volumetric(stretch) + self.law.p(self.t) + self.law.viscosity * self.v[1]
+        force = self._force(self.u, self.v, self.t, self.h)
         self.ü[1] = -(force + DENSITY * self.ü[0] / 6.0) / (DENSITY / 3.0)
         self.a, self.h = self.ü.copy(), 0.0
 
     def _fading(self, h: float) -> tuple[float, float]:
         return math.exp(-h / TAU), self.law.share * math.exp(-h / (2.0 * TAU))
+
+    def _force(self, u: np.ndarray, v: np.ndarray, t: float, h: float) -> float:
+        """On the face, but for inertia, at a time after a step of length h."""
+        stretch, (fades, δ) = 1.0 + u[1] - u[0], self._fading(h)
+        force = (1.0 + δ) * slope(stretch) + (fades * self.Q - δ * self.S) * stretch
+        return force + KAPPA * (stretch - 1.0) + self.law.p(t) + self.law.viscosity * v[1]
 
     def step(self, h: float) -> None:
         """Take a step of length h."""
@@ -117,10 +115,8 @@ class Scalar:
 
         def balance(s: float) -> float:
             u = np.array([law.g(t), s])
-            stretch, (v, ü) = 1.0 + s - u[0], rates(u)
-            force = (1.0 + δ) * slope(stretch) + (fades * self.Q - δ * self.S) * stretch
-            force += volumetric(stretch) + law.p(t) + law.viscosity * v[1]
-            return force + DENSITY * (ü[1] / 3.0 + ü[0] / 6.0)
+            v, ü = rates(u)
+            return self._force(u, v, t, h) + DENSITY * (ü[1] / 3.0 + ü[0] / 6.0)
 
         s = scipy.optimize.brentq(balance, last[1] - 0.6, last[1] + 0.6, xtol=1e-15, rtol=1e-14)
         self.u = np.array([law.g(t), s])
@@ -143,7 +139,8 @@ def exact(law: Law, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     def stress(stretch: float, z: float) -> float:
         S = slope(stretch) / stretch
-        return slope(stretch) + (law.share * S - z) * stretch + volumetric(stretch)  # Q = β S − z
+        force = slope(stretch) + (law.share * S - z) * stretch  # Q = β S − z
+        return force + KAPPA * (stretch - 1.0)
 
     def change(t: float, y: np.ndarray) -> list[float]:
         stretch = 1.0 + y[0] - g(t, 0)

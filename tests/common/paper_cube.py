@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The cube of the paper: subcubes of cells of 24 tetrahedra, linear elements, clamped all round."""
+"""The cube of the paper: a cell of 24 linear tetrahedra is a subdomain; clamped all round."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ import numpy as np
 import numpy.typing as npt
 from hand_torn import Array, HandTorn, assembled, kernel, stiffness_of, tear
 
+from meshes.cube import CORNERS, FACES, TETRAHEDRA
+
 POISSON = 0.45
 
 
 def cube(
     subdomains: int,
-    cells: int,
     components: int = 3,
     fixed: Callable[[Array], npt.NDArray[np.bool_]] | None = None,
 ) -> HandTorn:
-    """Tear a cube of subdomains³ subcubes of cells³ cells each.
+    """Tear a cube of subdomains³ cells, 8³ in the paper.
 
-    Args:
-        subdomains: Their number along an edge, 8 in the paper.
-        cells: Cells along the edge of a subcube, 1, 2, 4, … in the paper.
-        components: Three for linear elasticity, one for the Laplace equation.
-        fixed: Marks the Dirichlet dofs, (nodes, components), of nodes at x, (nodes, 3), in units of
-            cells; if not given the whole surface, as in the paper.
+    Components are three for linear elasticity, one for the Laplace equation; ``fixed`` marks the
+    Dirichlet dofs, (nodes, components), of nodes at x, (nodes, 3), in units of cells; if not given
+    it is the whole surface, as in the paper.
     """
-    nodes, tetrahedra = subcube(cells)
-    matrices = [element(nodes[tetrahedron], components) for tetrahedron in tetrahedra]
-    pattern, K_0 = assembled(list(tetrahedra), matrices, components)
-    corners = cells * np.array(list(itertools.product(range(subdomains), repeat=3)))
+    nodes = np.full((7, 3), 0.5)  # the centre, and those of faces
+    nodes[np.arange(1, 7), FACES[:, 0]] = FACES[:, 1]
+    nodes = np.vstack([nodes, CORNERS])
+    matrices = [element(nodes[tetrahedron], components) for tetrahedron in TETRAHEDRA]
+    pattern, K_0 = assembled(list(TETRAHEDRA), matrices, components)
+    corners = np.array(list(itertools.product(range(subdomains), repeat=3)))
     places = np.concatenate([nodes + corner for corner in corners])
     x, number = np.unique(np.round(2 * places).astype(int), axis=0, return_inverse=True)
     x = x / 2
-    surface = np.any((x == 0.0) | (x == subdomains * cells), axis=1)
+    surface = np.any((x == 0.0) | (x == subdomains), axis=1)
     mark = np.repeat(surface[:, None], components, axis=1) if fixed is None else fixed(x)
     dofs = number.reshape(-1, 1) * components + np.arange(components)
     return tear(
@@ -48,21 +48,6 @@ def cube(
         mark.ravel(),
         pattern=pattern,
     )
-
-
-def subcube(cells: int) -> tuple[Array, npt.NDArray[np.int64]]:
-    """Mesh a subcube: its nodes, and its tetrahedra from cell centre, face centre and an edge."""
-    tetrahedra = []
-    for cell in itertools.product(range(cells), repeat=3):
-        centre = np.array(cell) + 0.5
-        for axis, side in itertools.product(range(3), (-0.5, 0.5)):
-            face = centre + side * np.eye(3)[axis]
-            a, b = 0.5 * np.delete(np.eye(3), axis, 0)
-            ring = [face + a + b, face + a - b, face - a - b, face - a + b]
-            tetrahedra += [[centre, face, ring[j], ring[j - 1]] for j in range(4)]
-    corners = np.array(tetrahedra).reshape(-1, 3)
-    nodes, number = np.unique(np.round(2 * corners).astype(int), axis=0, return_inverse=True)
-    return nodes / 2, number.reshape(-1, 4)
 
 
 def element(corners: Array, components: int) -> Array:

@@ -1,11 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A two-layer tube under pressure, small enough for tests, as a dolfinx user writes it."""
+"""Bodies under a pressure that follows, small enough for tests, as a dolfinx user writes them.
+
+The two-layer tube, and the beam of S. Land et al., *Verification of cardiac mechanics software*,
+Proc. R. Soc. A 471 (2015) 20150641, problem 1, soft and slender, whose rim is free but for one
+edge: Guccione's law with C = 2 kPa, b_f, b_t, b_fs = 8, 2, 4, and fibres along x.
+"""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,7 +17,7 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
-from problems import dirichlet, tagged
+from problems import dirichlet, left, tagged
 
 import basix.ufl
 import dolfinx
@@ -21,6 +25,7 @@ import ufl
 
 import dolfinx_feti
 from dolfinx_feti import kinematics, loads, materials
+from meshes.bricks import lattice_cells
 
 Array = npt.NDArray[np.float64]
 Marker = npt.NDArray[np.bool_]
@@ -92,12 +97,8 @@ def tube(
     quarter: bool = False,
 ) -> dolfinx.mesh.Mesh:
     """Mesh a tube, or its part in the first quadrant, with bricks cut into six tetrahedra."""
-    radii = np.concatenate(
-        [
-            np.linspace(INNER, INTERFACE, media + 1),
-            np.linspace(INTERFACE, OUTER, adventitia + 1)[1:],
-        ]
-    )
+    inside = np.linspace(INNER, INTERFACE, media + 1)
+    radii = np.append(inside, np.linspace(INTERFACE, OUTER, adventitia + 1)[1:])
     columns = around + 1 if quarter else around
     angles = np.linspace(0.0, np.pi / 2 if quarter else 2 * np.pi, around + 1)[:columns]
     heights = np.linspace(0.0, length, along + 1)
@@ -106,15 +107,8 @@ def tube(
     number = np.arange(len(x)).reshape(len(radii), columns, along + 1)
     if not quarter:
         number = np.concatenate([number, number[:, :1]], axis=1)
-    cells = []
-    for path in itertools.permutations(range(3)):  # six ways along the edges to the far corner
-        corner = np.zeros(3, dtype=int)
-        corners = [_shifted(number, corner)]
-        for axis in path:
-            corner[axis] = 1
-            corners.append(_shifted(number, corner))
-        cells.append(np.column_stack(corners))
-    return create_mesh(comm, x, np.concatenate(cells))
+    cells = lattice_cells(number, 1, simplex=True)  # six beside each other for each brick
+    return create_mesh(comm, x, cells.reshape(-1, 6, 4).swapaxes(0, 1).reshape(-1, 4))
 
 
 def create_mesh(comm: MPI.Comm, x: Array, cells: npt.NDArray[np.integer]) -> dolfinx.mesh.Mesh:
@@ -215,8 +209,34 @@ def at_ends(mesh: dolfinx.mesh.Mesh) -> Callable[[Array], Marker]:
     return lambda x: np.isclose(x[2], 0.0) | np.isclose(x[2], length)
 
 
-def _shifted(number: npt.NDArray[np.integer], by: npt.NDArray[np.integer]) -> npt.NDArray:
-    """Return the corners of all bricks that lie ``by`` from their first ones, flat."""
-    return number[
-        tuple(slice(b, n - 1 + b) for b, n in zip(by, number.shape, strict=False))
-    ].ravel()
+def beam(
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    tangent: str = "auto",
+    *,
+    kappa: float = 1000.0,
+    cells: tuple[int, int, int] = (8, 1, 1),
+) -> Wall:
+    """Set up the beam of 10 × 1 × 1 mm, P2–P0, clamped at x = 0, under a pressure on z = 0.
+
+    Args:
+        comm: Communicator.
+        tangent: Kind of the pressure's tangent, or ``exact``, by UFL.
+        kappa: κ [kPa].
+        cells: Bricks along x, y and z, of six tetrahedra each.
+    """
+    corners = [np.zeros(3), np.array([10.0, 1.0, 1.0])]
+    mesh = dolfinx.mesh.create_box(comm, corners, cells)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
+    u = dolfinx.fem.Function(V)
+    p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
+    metadata = {"quadrature_degree": 4}
+    F = kinematics.deformation_gradient(u)
+    J = kinematics.jacobian(F)
+    E = (J ** (-2 / 3) * kinematics.right_cauchy_green(F) - ufl.Identity(3)) / 2
+    across = E[1, 1] ** 2 + E[2, 2] ** 2 + 2 * E[1, 2] ** 2
+    exponent = 8 * E[0, 0] ** 2 + 2 * across + 8 * (E[0, 1] ** 2 + E[0, 2] ** 2)
+    kappa_ = dolfinx.fem.Constant(mesh, float(kappa))
+    psi = 1.0 * (ufl.exp(exponent) - 1) + materials.perturbed_lagrangian(J, p, kappa_)
+    below = tagged(mesh, lambda x: np.isclose(x[2], 0.0))(1, metadata=metadata)
+    clamped = [dirichlet(V, left)]
+    return under_pressure(u, p, clamped, psi * ufl.dx(metadata=metadata), below, tangent)

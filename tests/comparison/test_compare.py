@@ -17,9 +17,8 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from collective import COMM, agree, dense, equal, raises, small, whole
-from land_beam import beam
 from problems import cube, elasticity, poisson
-from walls import tube, wall
+from walls import beam, tube, wall
 
 import ufl
 

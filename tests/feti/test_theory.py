@@ -68,7 +68,7 @@ def eigenvalues(system):
 )
 def test_condition_numbers_of_the_paper(kind, pc_type, all_floating, classical, feti, lifetime):
     """Its cube on the coarsest level: 512 subdomains, multiplicity scaling, Q = I."""
-    problem = lifetime.own(paper_cube.cube(8, 1))
+    problem = lifetime.own(paper_cube.cube(8))
     options = {"type": kind, "pc_type": pc_type, "scaling": "multiplicity"}
     low, high = spectrum(feti, problem, load=0.0, coarse_q="identity", **options)
     expected = all_floating if kind == "all_floating" else classical
@@ -133,7 +133,7 @@ def corners_and_edges(x):
 
 def test_kernels_of_all_dimensions_in_one_decomposition(feti, lifetime):
     """The bound holds whatever is left of the rigid motions."""
-    problem = lifetime.own(paper_cube.cube(3, 1, fixed=corners_and_edges))
+    problem = lifetime.own(paper_cube.cube(3, fixed=corners_and_edges))
     options = {f"feti_{name}": value for name, value in PAPER.items()}
     ksp = feti(problem.A, feti_type="classical", **options)
     solve(ksp, problem, random_values(problem))

@@ -10,8 +10,8 @@ import logging
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small
-from land_beam import beam
 from problems import cube, dirichlet, left
+from walls import beam
 
 import dolfinx
 import ufl

@@ -18,9 +18,8 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises
-from land_beam import beam
 from mixed import Mixed, by_place
-from walls import tube, wall
+from walls import beam, tube, wall
 
 import dolfinx_feti
 from dolfinx_feti import loads

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from collective import COMM, agree, small
-from land_beam import beam
+from walls import beam
 
 from dolfinx_feti.loading import Steps, follow_load
 

@@ -117,7 +117,7 @@ def test_scaled_jumps_make_a_projection(grid, kind, stiffness, glue, lifetime):
 @pytest.mark.parametrize("components", [1, 3])
 def test_paper_counts_38052_multipliers_on_its_cube(components, lifetime):
     """8³ subdomains of one cell of 24 tetrahedra, clamped all round: 12 684 rows a component."""
-    problem = lifetime.own(paper_cube.cube(8, 1, components))
+    problem = lifetime.own(paper_cube.cube(8, components))
     torn = lifetime.own(Torn(problem.A))
     gluing = lifetime.own(Gluing(torn, all_floating=True))
     agree(COMM.allreduce(len(torn.subdomains)) == 512)
