@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Played problems, and states for checkpoints."""
+"""Played problems."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 
 import pytest
 from played import Played
-from states import Fields
 
 
 @pytest.fixture
@@ -23,8 +22,3 @@ def played() -> Iterator[Callable[..., Played]]:
     yield create
     for problem in made:
         problem.solver.destroy()
-
-
-@pytest.fixture
-def state() -> Fields:
-    return Fields()
