@@ -17,18 +17,6 @@ import numpy.typing as npt
 
 from dolfinx_feti.runtime.arrays import Array
 
-__all__ = [
-    "deferred",
-    "join",
-    "on_all",
-    "on_first",
-    "raise_deferred",
-    "reason",
-    "total",
-    "total_of",
-    "warn",
-]
-
 T = TypeVar("T")
 logger = logging.getLogger("dolfinx_feti")
 
