@@ -55,7 +55,6 @@ AT_MOST_TWO = [
         "fem/test_cell_kernels.py",
         "fem/test_condensation.py",
         "feti/subdomain",
-        "feti/test_against_direct.py",
         "feti/test_options.py",
         "feti/test_prestress.py",
         "loading",

@@ -1,15 +1,18 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""FETI against a direct solver on the undecomposed problem."""
+"""FETI against a direct solver on the undecomposed problem, with any subdomains."""
 
 import itertools
 from dataclasses import replace
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 from cases import each, every_formulation, every_type
-from collective import agree, norm, raises, small
+from collective import COMM, agree, equal, norm, raises, small, whole
+from mixed import by_place
 from problems import (
     Cell,
     cube,
@@ -61,6 +64,17 @@ def test_all_options(kind, degree, pc_type, feti):
     x.destroy()
 
 
+def with_form(problem, form):
+    """Add a form of u and v to the matrix of a problem."""
+    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
+    return replace(problem, a=problem.a + form(u, v))
+
+
+def carried(u, v):
+    """Advection, whose matrix is not symmetric."""
+    return ufl.dot(ufl.as_vector([5.0, -3.0]), ufl.grad(u)) * v * ufl.dx
+
+
 PROBLEMS = {
     "Poisson, triangles": lambda: poisson(cube(2, 8), stretched=True),
     "Poisson, cubic triangles": lambda: poisson(cube(2, 4), degree=3, stretched=True),
@@ -75,6 +89,10 @@ PROBLEMS = {
     "elasticity, hexahedra": lambda: elasticity(cube(3, 4, Cell.hexahedron), stretched=True),
     "clamped all round": lambda: elasticity(cube(3, 3), clamped=everywhere, degree=2),
     "nearly incompressible": lambda: elasticity(cube(2, 6), degree=2, nu=0.49),
+    "springs in place of conditions": lambda: with_form(
+        elasticity(cube(3, 3), clamped=None), lambda u, v: 10.0 * ufl.inner(u, v) * ufl.ds
+    ),
+    "advection": lambda: with_form(poisson(cube(2, 8)), carried),
 }
 
 
@@ -84,7 +102,9 @@ def test_problems(create, kind, solve):
     problem = create()
     linear = solve(problem, 7, {"feti_type": kind, "ksp_rtol": 1e-10})
     small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
-    small(linear.solver.getPythonContext().residual, 1e-10)
+    context = linear.solver.getPythonContext()
+    small(context.residual, 1e-10)
+    agree((context.method == "gmres") == (create is PROBLEMS["advection"]), context.method)
 
 
 def serendipity(mesh):
@@ -135,30 +155,6 @@ def test_what_moves_with_moments_as_dofs(dim, formulation, solve):
         solve(rolls, 4, {"feti_formulation": formulation})
 
 
-@every_type
-def test_springs_instead_of_dirichlet_conditions(kind, solve):
-    """Robin conditions alone: kernels leave the subdomains that touch the boundary."""
-    problem = elasticity(cube(3, 3), clamped=None)
-    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
-    held = replace(problem, a=problem.a + 10.0 * ufl.inner(u, v) * ufl.ds)
-    linear = solve(held, 10, {"feti_type": kind, "ksp_rtol": 1e-10})
-    small(difference(owned(linear.u), held.solve_directly()), TOLERANCE)
-    report = linear.solver.getPythonContext().report()
-    agree(report.exact < report.subdomains)
-
-
-@every_type
-def test_unsymmetric_form(kind, solve):
-    """Advection and diffusion, by GMRES."""
-    problem = poisson(cube(2, 8))
-    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
-    wind = ufl.as_vector([5.0, -3.0])
-    carried = replace(problem, a=problem.a + ufl.dot(wind, ufl.grad(u)) * v * ufl.dx)
-    linear = solve(carried, 6, {"feti_type": kind, "ksp_rtol": 1e-10})
-    small(difference(owned(linear.u), carried.solve_directly()), TOLERANCE)
-    agree(linear.solver.getPythonContext().method == "gmres")
-
-
 def test_second_solve_sees_new_coefficients_and_values():
     """Load, matrix and boundary values change between two solves; ghosts follow their owners."""
     problem = poisson(cube(2, 5))
@@ -175,3 +171,145 @@ def test_second_solve_sees_new_coefficients_and_values():
         ghosts = u.x.array.copy()
         u.x.scatter_forward()
         agree(np.array_equal(ghosts, u.x.array))
+
+
+# ---- any number of processes, and any subdomains ---------------------------------------------
+
+DECOMPOSED = {
+    "elasticity": (elasticity, (3, 4, Cell.tetrahedron), {"stretched": True}),
+    "quadratic elasticity": (elasticity, (2, 6, Cell.triangle), {"degree": 2}),
+    "hexahedra": (elasticity, (3, 4, Cell.hexahedron), {}),
+    "Poisson": (poisson, (2, 8, Cell.quadrilateral), {"degree": 2, "stretched": True}),
+}
+
+
+@each(("create", "mesh", "options"), DECOMPOSED)
+@every_type
+def test_solution_does_not_depend_on_the_decomposition(create, mesh, options, kind, solve):
+    """1, 4 and 64 subdomains, against a direct solve of the whole problem on each process."""
+    alone = create(cube(*mesh, comm=MPI.COMM_SELF), **options)
+    u = dolfinx.fem.Function(alone.V)
+    u.x.array[:] = alone.solve_directly()
+    expected = by_place(u)
+    together = create(cube(*mesh), **options)
+    for subdomains in (1, 4, 64):
+        linear = solve(together, subdomains, {"feti_type": kind, "ksp_rtol": 1e-11})
+        equal(by_place(linear.u), expected, 1e-8)
+        report = linear.solver.getPythonContext().report()
+        agree(report.subdomains >= max(subdomains, COMM.size))
+
+
+def test_process_alone_solves_its_own_problem():
+    """On MPI.COMM_SELF nothing is collective on the world: each process has other subdomains."""
+    problem = elasticity(cube(2, 5, comm=MPI.COMM_SELF), stretched=True)
+    linear = torn(problem, 3 + COMM.rank, f"process{COMM.rank}_", ksp_rtol=1e-11)
+    linear.solve()
+    equal(owned(linear.u), problem.solve_directly(), 1e-8)
+    agree(linear.solver.getPythonContext().report().subdomains == 3 + COMM.rank)
+
+
+def test_same_solution_at_the_default_tolerance(solve):
+    """The assembled residual is the judge: all choices end within the same error."""
+    problem = elasticity(cube(2, 8), stretched=True)
+    expected = whole(problem.solve_directly())
+    for options in (
+        {},
+        {"feti_type": "classical", "feti_pc_type": "lumped"},
+        {"feti_pc_type": "identity", "feti_coarse_q": "identity"},
+        {"feti_dual_ksp_type": "gmres"},
+    ):
+        linear = solve(problem, 8, options)
+        agree(linear.solver.getPythonContext().residual <= 1e-8)
+        equal(whole(owned(linear.u)), expected, 1e-6)
+
+
+MESHES = {
+    "triangles": (2, 4, Cell.triangle),
+    "quadrilaterals": (2, 5, Cell.quadrilateral),
+    "tetrahedra": (3, 2, Cell.tetrahedron),
+    "hexahedra": (3, 3, Cell.hexahedron),
+}
+every_mesh = each("mesh", MESHES)
+every_equation = pytest.mark.parametrize("create", [poisson, elasticity])
+
+
+def check(problem, part, kind, solve, **options):
+    linear = solve(problem, part, {"feti_type": kind, "ksp_rtol": 1e-11, **options})
+    small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
+    return linear.solver.getPythonContext().report()
+
+
+def ragged(problem, rng):
+    """Random cells to random parts, most of them in pieces that touch in edges and vertices."""
+    return rng.integers(0, rng.integers(2, 9), problem.cells)
+
+
+def singles(problem, rng):
+    """Every cell its own."""
+    return np.arange(problem.cells)
+
+
+def large(problem, rng):
+    """One large subdomain and some single cells."""
+    cells = np.arange(problem.cells)
+    return np.where(cells % 5 == 0, 1 + cells // 5, 0)
+
+
+def rings(problem, rng):
+    """Around the middle: subdomains that enclose others."""
+    cells = np.arange(problem.cells, dtype=np.int32)
+    centre = dolfinx.mesh.compute_midpoints(problem.V.mesh, 2, cells)
+    return np.round(7 * np.abs(centre[:, :2] - 0.5).max(axis=1)).astype(np.int32)
+
+
+@every_mesh
+@every_type
+@every_equation
+@pytest.mark.parametrize(("parts", "seed"), [(ragged, 83), (ragged, 1291), (singles, 0)])
+def test_any_parts(mesh, kind, create, parts, seed, solve):
+    problem = create(cube(*mesh))
+    part = parts(problem, np.random.default_rng(seed + COMM.rank))
+    report = check(problem, part, kind, solve)
+    agree(report.subdomains >= 2)
+    if parts is singles:
+        agree(report.subdomains == COMM.allreduce(problem.cells))
+        if create is elasticity and mesh is MESHES["triangles"] and kind == "classical":
+            agree(report.kernels[1] > 0, "a vertex on the clamped side leaves a rotation")
+
+
+@every_type
+@pytest.mark.parametrize(
+    ("parts", "mesh", "degree", "pc_type", "q"),
+    [
+        (ragged, (2, 5), 1, "lumped", "diagonal"),
+        (ragged, (2, 5), 1, "identity", "diagonal"),
+        (large, (3, 2), 1, "dirichlet", "preconditioner"),
+        (large, (3, 2), 2, "dirichlet", "preconditioner"),
+        (rings, (2, 7, Cell.quadrilateral), 1, "dirichlet", "preconditioner"),
+    ],
+)
+def test_other_parts_and_options(kind, parts, mesh, degree, pc_type, q, solve):
+    problem = elasticity(cube(*mesh), degree=degree, stretched=True)
+    part = parts(problem, np.random.default_rng(40099 + COMM.rank))
+    check(problem, part, kind, solve, feti_pc_type=pc_type, feti_coarse_q=q)
+
+
+@every_mesh
+@every_type
+@pytest.mark.parametrize("seed", [83, 1291, 40099])
+def test_random_dirichlet_conditions(mesh, kind, seed, solve):
+    """Single components of single nodes with random values, on top of one that holds the body."""
+    problem = elasticity(cube(*mesh))
+    bcs = list(problem.bcs)
+    for j in range(problem.V.mesh.geometry.dim):
+        part = problem.V.sub(j)
+        g = dolfinx.fem.Function(part.collapse()[0])
+        g.interpolate(lambda x, j=j: np.cos(5.0 * x[0] + j) * x[1])
+
+        def lottery(x, j=j):  # by coordinates, so that all processes agree on shared nodes
+            return (np.sin(1e4 * ([1.7, 2.9, 4.1] @ x) + seed * (j + 1)) > 0.8) & ~left(x)
+
+        dofs = dolfinx.fem.locate_dofs_geometrical((part, g.function_space), lottery)
+        bcs.append(dolfinx.fem.dirichletbc(g, dofs, part))
+    rng = np.random.default_rng(seed + 7 * COMM.rank)
+    check(replace(problem, bcs=bcs), rng.integers(0, 5, problem.cells), kind, solve)

@@ -224,7 +224,12 @@ def test_neighbours_joined_are_refused(torn_grid, feti):
 def test_next_solve_sees(name, options, problem, feti):
     ksp, b = feti(problem.A, ksp_rtol=RTOL, **options), random_values(problem)
     solved(ksp, problem, b)
+    before = state_of(problem.A)
     CHANGES[name](problem)
+    after = state_of(problem.A)  # is another one on some process, and in its proper part
+    pattern = COMM.allreduce(after.pattern != before.pattern)
+    values = COMM.allreduce(after.values != before.values)
+    agree((pattern > 0) == (name in PATTERN) and (pattern or values), (pattern, values))
     solved(ksp, problem, b)
     solved(ksp, problem, 2.0 * b)
 
@@ -282,17 +287,6 @@ def test_another_matrix(problem, torn_grid, feti):
 
 
 # -- the state
-
-
-@pytest.mark.parametrize("name", CHANGES)
-def test_change_is_in_the_state(name, problem):
-    """On some process, and in its proper part."""
-    before = state_of(problem.A)
-    CHANGES[name](problem)
-    after = state_of(problem.A)
-    pattern = COMM.allreduce(after.pattern != before.pattern)
-    values = COMM.allreduce(after.values != before.values)
-    agree((pattern > 0) == (name in PATTERN) and (pattern or values), (pattern, values))
 
 
 def test_state_stays_where_nothing_changes(problem, feti):
