@@ -105,48 +105,49 @@ class HandTorn:
 Change = Callable[[list[Array], list[Indices]], None]
 
 
+def each_matrix(alter: Callable[[Array, np.random.Generator], None]) -> Change:
+    """Alter each local matrix in place, perhaps at random."""
+
+    def change(K: list[Array], _dofs: object) -> None:
+        rng = np.random.default_rng(1986)
+        for K_i in K:
+            alter(K_i, rng)
+
+    return change
+
+
 def softened(share: float) -> Change:
     """Take a share of the stiffness from each subdomain: they buckle alone, or the whole does."""
 
-    def change(K: list[Array], _dofs: object) -> None:
-        for K_i in K:
-            K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
+    def alter(K_i: Array, _rng: object) -> None:
+        K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
 
-    return change
+    return each_matrix(alter)
 
 
 def scaled_diagonal(factor: float) -> Change:
     """Multiply the diagonal of each subdomain: tension or, below one, compression."""
-
-    def change(K: list[Array], _dofs: object) -> None:
-        for K_i in K:
-            np.fill_diagonal(K_i, factor * K_i.diagonal())
-
-    return change
+    return each_matrix(lambda K_i, _rng: np.fill_diagonal(K_i, factor * K_i.diagonal()))
 
 
-def unsymmetric(share: float, *, skew: bool = False, seed: int = 1986) -> Change:
+def unsymmetric(share: float, *, skew: bool = False) -> Change:
     """Add a share of random entries to the local matrices, which leave K + Kᵀ or not."""
 
-    def change(K: list[Array], _dofs: object) -> None:
-        rng = np.random.default_rng(seed)
-        for K_i in K:
-            X = rng.standard_normal(K_i.shape) * (K_i != 0.0)
-            K_i += share * np.abs(K_i).max() * (X - X.T if skew else X)
+    def alter(K_i: Array, rng: np.random.Generator) -> None:
+        X = rng.standard_normal(K_i.shape) * (K_i != 0.0)
+        K_i += share * np.abs(K_i).max() * (X - X.T if skew else X)
 
-    return change
+    return each_matrix(alter)
 
 
-def one_sided(share: float, *, seed: int = 1986) -> Change:
+def one_sided(share: float) -> Change:
     """Add a share of random entries, a_ij where neither a_ij nor a_ji was in the pattern."""
 
-    def change(K: list[Array], _dofs: object) -> None:
-        rng = np.random.default_rng(seed)
-        for K_i in K:
-            X = rng.standard_normal(K_i.shape) * (rng.random(K_i.shape) < 0.01)
-            K_i += share * np.abs(K_i).max() * np.tril(X * (K_i == 0.0))
+    def alter(K_i: Array, rng: np.random.Generator) -> None:
+        X = rng.standard_normal(K_i.shape) * (rng.random(K_i.shape) < 0.01)
+        K_i += share * np.abs(K_i).max() * np.tril(X * (K_i == 0.0))
 
-    return change
+    return each_matrix(alter)
 
 
 def grid(
@@ -218,11 +219,8 @@ def tear(
         comm=COMM,
         dirichlet=np.flatnonzero(dirichlet[slice(*ends)]) + ends[0],
     )
-    vectors = []
-    for mode in modes.T[:n_modes]:
-        vector = A.createVecRight()
-        vector.array[:] = mode[slice(*ends)]
-        vectors.append(vector)
+    parts = [np.ascontiguousarray(mode[slice(*ends)]) for mode in modes.T[:n_modes]]
+    vectors = [PETSc.Vec().createWithArray(part, (len(part), n), comm=COMM) for part in parts]
     dolfinx_feti.set_near_kernel(A, vectors, x[ends[0] // bs : ends[1] // bs])
     for vector in vectors:
         vector.destroy()
