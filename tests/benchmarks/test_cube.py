@@ -69,9 +69,8 @@ def test_error_converges_to_the_fundamental_solution(degree, levels, study_of):
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 def test_records_say_what_the_hand_torn_cube_says(kind, study_of, feti):
     """Two codes that share the solver alone agree on counts and on the condition number."""
-    records = study_of(
-        *(Case(subdomains_per_edge=3, type=kind, pc=pc) for pc in cube.PRECONDITIONERS)
-    )
+    cases = (Case(subdomains_per_edge=3, type=kind, pc=pc) for pc in cube.PRECONDITIONERS)
+    records = study_of(*cases)
     agree(len(records) == 3)
     problem = paper_cube.cube(3)
     for record in records:
@@ -137,10 +136,8 @@ def test_deviations_from_the_paper():
 def test_growth_is_fitted_to_the_square_of_a_logarithm():
     """√κ = 2 + 0.7 ln 2^(l − 1)."""
     of_level = ((2.0 + 0.7 * np.log(2.0 ** (level - 1))) ** 2 for level in range(1, 5))
-    records = [
-        record_of("classical", "dirichlet", level, condition_number=κ)
-        for level, κ in enumerate(of_level, start=1)
-    ]
+    key = ("classical", "dirichlet")
+    records = [record_of(*key, i, condition_number=κ) for i, κ in enumerate(of_level, start=1)]
     small(max(abs(np.subtract(cube.fit_growth(records), (2.0, 0.7, 1.0)))), 1e-13)
     records[-1]["condition_number"] *= 2.0
     agree(cube.fit_growth(records)[2] > 1.1)
