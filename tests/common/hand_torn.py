@@ -189,6 +189,26 @@ def nowhere(x: Array) -> Mask:
     return np.zeros(len(x), dtype=bool)
 
 
+def origin(x: Array) -> Mask:
+    """Mark the node at the origin."""
+    return np.all(x == 0.0, axis=1)
+
+
+def edge(x: Array) -> Mask:
+    """Mark the nodes with x₀ = x₁ = 0."""
+    return np.all(x[:, :2] == 0.0, axis=1)
+
+
+def face(x: Array) -> Mask:
+    """Mark the nodes with x₀ = 0."""
+    return x[:, 0] == 0.0
+
+
+def components(where: Callable[[Array], Mask], *which: int) -> Callable[[Array], Mask]:
+    """Mark some components of the nodes that are marked."""
+    return lambda x: where(x)[:, None] & np.isin(np.arange(x.shape[1]), which)
+
+
 def dofs_of(nodes: Indices, components: int) -> Indices:
     """Return the dofs of nodes, node by node."""
     return (nodes[:, None] * components + np.arange(components)).ravel()

@@ -5,13 +5,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from types import SimpleNamespace
 
 import numpy as np
+import scipy.linalg
+from collective import COMM, Array
 
 from dolfinx_feti.feti.dual.form import DualForm
+from dolfinx_feti.feti.primal.form import PrimalForm
 
 NAMES = ("R", "E", "D", "stabilisation", "exact", "rho", "kernel")
+
+
+def on_torn_dofs(system: DualForm | PrimalForm, blocks: Iterable[Array]) -> Array:
+    """Bring columns of each subdomain, (n_i, k_i), to all processes, on all torn dofs."""
+    own = [np.zeros((system.operator.torn.n, 0))]
+    for dofs, X in zip(system.operator.dofs, blocks, strict=True):
+        own.append(np.zeros((len(own[0]), X.shape[1])))
+        own[-1][dofs] = X
+    return scipy.linalg.block_diag(*COMM.allgather(np.hstack(own)))
 
 
 def modes_of(system: DualForm) -> SimpleNamespace:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
-from collective import COMM, whole
+from collective import whole
 from hand_torn import HandTorn
+from modes import on_torn_dofs
 
 from dolfinx_feti.feti.coarse.space import AveragedColumns
 from dolfinx_feti.feti.gluing.copies import Copies
@@ -109,12 +109,8 @@ def reference(problem: HandTorn, form: PrimalForm) -> Dense:
         X = np.linalg.solve(K[interior], K[np.ix_(inside, rows)])
         return K[np.ix_(rows, rows)] - K[np.ix_(rows, inside)] @ X
 
-    R_all = ρ_R = np.zeros((torn.n, 0))
-    for modes, dofs in zip(form.modes, operator.dofs, strict=True):
-        columns = np.zeros((torn.n, modes.R.shape[1]))
-        columns[dofs] = modes.R
-        R_all, ρ_R = np.hstack([R_all, columns]), np.hstack([ρ_R, modes.rho * columns])
-    R_all, ρ_R = (scipy.linalg.block_diag(*COMM.allgather(part)) for part in (R_all, ρ_R))
+    R_all = on_torn_dofs(form, [modes.R for modes in form.modes])
+    ρ_R = on_torn_dofs(form, [modes.rho * modes.R for modes in form.modes])
     if not operator.eliminated:
         K_ρ = K + ρ_R @ R_all.T
         S_ρ = condensed(K_ρ)

@@ -12,7 +12,7 @@ import pytest
 from cases import each, every_type
 from collective import COMM, agree, dense, equal, matrix_of_map, raises, small, whole
 from hand_torn import scaled_diagonal
-from modes import modes_of
+from modes import modes_of, on_torn_dofs
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.gathered import GatheredSolver
@@ -50,12 +50,7 @@ def test_projection(kind, q, change, torn_grid, parts):
     problem = torn_grid((3, 2), (2, 2), components=2, change=change)
     system = parts(problem.A, type=kind, coarse_q=q)
     coarse, B, n = system.coarse, dense(system.pattern.gluing.B), system.torn.n
-    E = np.zeros((n, coarse.total))
-    column = coarse.start
-    for dofs, E_i in zip(system.operator.dofs, modes_of(system).E, strict=True):
-        E[dofs, column : column + E_i.shape[1]] = E_i
-        column += E_i.shape[1]
-    E = whole(E)
+    E = on_torn_dofs(system, modes_of(system).E)
     G, N, D = (dense(M) for M in (coarse.G, coarse.N, coarse.D))
     QG = matrix_of_map(system.dual.weighted_jump, coarse.size)
     equal(G, B @ E, 1e-13)

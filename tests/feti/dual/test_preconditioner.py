@@ -7,18 +7,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import scipy.linalg
 from cases import case, each, every_interior, every_type
 from collective import COMM, agree, dense, equal, matrix_of_map, random_part, small, whole
 from hand_torn import scaled_diagonal
-from modes import modes_of
+from modes import modes_of, on_torn_dofs
 
 from dolfinx_feti.feti.dual import system
 from dolfinx_feti.feti.dual.coarse import WeightedColumns
 from dolfinx_feti.feti.dual.krylov import INTERVAL, OPTIMISM, _StoppingTest
 from dolfinx_feti.feti.dual.system import DualSystem
-
-SEED = 90210
 
 PROBLEMS = {
     "elasticity": case((2, 2), (2, 3), 2),
@@ -32,19 +29,9 @@ every_state = each("change", {"at rest": None, "buckling": BUCKLING})
 every_pc = pytest.mark.parametrize("pc_type", ["identity", "lumped", "dirichlet"])
 
 
-def props_of(system):
-    """Z of all subdomains on all torn dofs, (n, q)."""
-    torn = system.torn
-    columns = [np.zeros((torn.n, 0))]
-    for dofs, Z in zip(system.operator.dofs, modes_of(system).stabilisation, strict=True):
-        columns.append(np.zeros((torn.n, Z.shape[1])))
-        columns[-1][dofs] = Z
-    return scipy.linalg.block_diag(*COMM.allgather(np.hstack(columns)))
-
-
 def weight_of(problem, system, pc_type):
     """Y of the definition on all torn dofs."""
-    K, Z = problem.K_torn, props_of(system)
+    K, Z = problem.K_torn, on_torn_dofs(system, modes_of(system).stabilisation)
     fixed = whole(system.pattern.dofs.fixed)
     glued = np.any(dense(system.pattern.gluing.B) != 0.0, axis=0)
     if pc_type == "identity":

@@ -5,41 +5,21 @@
 
 import re
 
-from petsc4py import PETSc
-
 import hand_torn
 import numpy as np
 import pytest
 import scipy.linalg
 from cases import case, each, every_interior, every_type
 from collective import agree
-from hand_torn import dofs_of, nowhere, scaled_diagonal, solved
+from hand_torn import components, dofs_of, edge, face, nowhere, origin, scaled_diagonal, solved
 
 from dolfinx_feti.errors import SetUpError, SingularError
 
 SEED = 4711
-Reason = PETSc.KSP.ConvergedReason
-
-
-def components(where, *which):
-    """Hold some components of the nodes where a condition holds."""
-    return lambda x: where(x)[:, None] & np.isin(np.arange(x.shape[1]), which)
 
 
 def both(first, second):
     return lambda x: first(x) | second(x)
-
-
-def origin(x):
-    return np.all(x == 0.0, axis=1)
-
-
-def edge(x):
-    return np.all(x[:, :2] == 0.0, axis=1)
-
-
-def face(x):
-    return x[:, 0] == 0.0
 
 
 def top(x):
