@@ -17,35 +17,30 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import ConvergenceError, NonlinearProblem
+from dolfinx_feti.problems.derivative import QUANTITY
 
 LOADS = (0.001, 0.002, 0.003)
 
 
 def warned(caplog):
-    """What the first process has logged, on all."""
-    return COMM.bcast([record.getMessage() for record in caplog.records], root=0)
+    return COMM.bcast([record.getMessage() for record in caplog.records])
 
 
 def advised(problem):
     """The advice about the tangent."""
-    quantity = "difference of J from the derivative of F"
     found = problem.diagnose()
     agree(all(str(a) in str(found) for a in found.advice), found)
-    return [a for a in found.advice if a.quantity == quantity]
+    return [a for a in found.advice if a.quantity == QUANTITY]
 
 
 def heat(J=None, k=lambda u: 1 + u**2, **options):
     """−div(k grad u) = 40, u = 0 on one side; J of the user's own, from u, v and du."""
     V = dolfinx.fem.functionspace(cube(2, 8), ("Lagrange", 1))
     u, v, du = dolfinx.fem.Function(V), ufl.TestFunction(V), ufl.TrialFunction(V)
-    return NonlinearProblem(
-        (k(u) * ufl.inner(ufl.grad(u), ufl.grad(v)) - 40.0 * v) * ufl.dx,
-        u,
-        bcs=[dirichlet(V, left)],
-        J=None if J is None else J(u, v, du) * ufl.dx,
-        subdomains=4,
-        petsc_options=options,
-    )
+    F = (k(u) * ufl.inner(ufl.grad(u), ufl.grad(v)) - 40.0 * v) * ufl.dx
+    J = None if J is None else J(u, v, du) * ufl.dx
+    bcs = [dirichlet(V, left)]
+    return NonlinearProblem(F, u, bcs, J, subdomains=4, petsc_options=options)
 
 
 def without_term(u, v, du):

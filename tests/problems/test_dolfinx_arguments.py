@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from bodies import block, yeoh
 from collective import COMM, agree, equal, norm, raises, small, uniform
-from problems import cube, dirichlet, left, owned, poisson
+from problems import Cell, cube, owned, poisson
 
+import basix.ufl
 import dolfinx
 import dolfinx.fem.petsc
 import ufl
@@ -26,21 +27,19 @@ LAST = COMM.rank == COMM.size - 1
 
 
 @pytest.fixture
-def heat() -> SimpleNamespace:
+def heat():
     """Poisson's equation, and its solution."""
-    problem = poisson(cube(2, 4))
-    solved = LinearProblem(problem.a, problem.L, problem.bcs, subdomains=4).solve()
-    return SimpleNamespace(a=problem.a, L=problem.L, bcs=problem.bcs, V=problem.V, u=solved)
+    body = poisson(cube(2, 4))
+    u = LinearProblem(body.a, body.L, body.bcs, subdomains=4).solve()
+    return SimpleNamespace(a=body.a, L=body.L, bcs=body.bcs, V=body.V, u=u)
 
 
 @pytest.fixture
-def rubber() -> SimpleNamespace:
+def rubber():
     """A block, its residual and tangent, at rest."""
     body = block(yeoh, (0.3, 0.1))
-    V = body.u.function_space
-    F = ufl.derivative(body.energy, body.u, ufl.TestFunction(V))
-    J = ufl.derivative(F, body.u, ufl.TrialFunction(V))
-    return SimpleNamespace(F=F, J=J, u=body.u, bcs=body.bcs, V=V)
+    F = ufl.derivative(body.energy, body.u, ufl.TestFunction(body.u.function_space))
+    return SimpleNamespace(F=F, J=ufl.derivative(F, body.u), u=body.u, bcs=body.bcs)
 
 
 # -- arguments
@@ -59,11 +58,10 @@ def test_positional_arguments(heat, rubber):
 def test_subdomains_may_be_left_out(heat, rubber):
     """Then it is dolfinx's call; a small problem has one on each process."""
     problem = LinearProblem(heat.a, heat.L, heat.bcs)
-    agree(COMM.allreduce(problem.decomposition.count) >= COMM.size)
-    equal(owned(problem.solve()), owned(heat.u), 1e-6)
-    nonlinear = NonlinearProblem(rubber.F, rubber.u, rubber.bcs)
-    agree(COMM.allreduce(nonlinear.decomposition.count) >= COMM.size)
-    nonlinear.solve()
+    for each in (problem, NonlinearProblem(rubber.F, rubber.u, rubber.bcs)):
+        each.solve()
+        agree(COMM.allreduce(each.decomposition.count) >= COMM.size)
+    equal(owned(problem.u), owned(heat.u), 1e-6)
 
 
 def test_no_conditions(heat, rubber):
@@ -193,12 +191,90 @@ def test_attributes_of_a_nonlinear_problem(rubber):
 def test_values_of_conditions_may_change(heat):
     """Their dofs may not: the conditions are a tuple."""
     value = dolfinx.fem.Constant(heat.V.mesh, 0.0)
-    facets = dolfinx.mesh.locate_entities_boundary(heat.V.mesh, 1, left)
-    dofs = dolfinx.fem.locate_dofs_topological(heat.V, 1, facets)
-    held = dolfinx.fem.dirichletbc(value, dofs, heat.V)
+    held = dolfinx.fem.dirichletbc(value, heat.bcs[0].dof_indices()[0], heat.V)
     problem = LinearProblem(heat.a, heat.L, [held], subdomains=4)
-    first = owned(problem.solve())
+    equal(owned(problem.solve()), owned(heat.u), 1e-6)
     value.value = 2.0
-    equal(owned(problem.solve()), first + 2.0, 1e-6)
-    other = LinearProblem(heat.a, heat.L, [dirichlet(heat.V, left)], subdomains=4)
-    equal(owned(other.solve()), first, 1e-6)
+    equal(owned(problem.solve()), owned(heat.u) + 2.0, 1e-6)
+
+
+# -- mixed elements and blocks end in one message
+
+
+def elastic(mesh):
+    """Return the spaces of Taylor and Hood's elements, alone, mixed and in parts."""
+    cell, dim = mesh.basix_cell(), mesh.geometry.dim
+    parts = basix.ufl.element("P", cell, 2, shape=(dim,)), basix.ufl.element("P", cell, 1)
+    spaces = [dolfinx.fem.functionspace(mesh, part) for part in parts]
+    mixed = dolfinx.fem.functionspace(mesh, basix.ufl.mixed_element(parts))
+    return spaces, mixed, ufl.MixedFunctionSpace(*spaces)
+
+
+def rows(u, p, v, q):
+    """Both rows of linear elasticity with a pressure, and its load sideways."""
+    inside = 2 * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) + p * ufl.div(v)
+    below = (ufl.div(u) - p / 100.0) * q
+    return inside * ufl.dx, below * ufl.dx, v[len(v) - 1] * ufl.dx
+
+
+def linear_mixed(mesh):
+    _, W, _ = elastic(mesh)
+    above, below, pull = rows(*ufl.TrialFunctions(W), *ufl.TestFunctions(W))
+    LinearProblem(above + below, pull)
+
+
+def nonlinear_mixed(mesh):
+    _, W, _ = elastic(mesh)
+    w = dolfinx.fem.Function(W)
+    above, below, pull = rows(*ufl.split(w), *ufl.TestFunctions(W))
+    NonlinearProblem(above + below - pull, w)
+
+
+def linear_parts(mesh, *, blocks=False):
+    _, _, W = elastic(mesh)
+    v, q = ufl.TestFunctions(W)
+    above, below, pull = rows(*ufl.TrialFunctions(W), v, q)
+    a, L = above + below, pull + 0 * q * ufl.dx(mesh) if blocks else pull
+    LinearProblem(ufl.extract_blocks(a) if blocks else a, L)
+
+
+def linear_blocks(mesh):
+    linear_parts(mesh, blocks=True)
+
+
+def nonlinear_blocks(mesh):
+    spaces, _, _ = elastic(mesh)
+    u, p = map(dolfinx.fem.Function, spaces)
+    F_u, F_p, pull = rows(u, p, *map(ufl.TestFunction, spaces))
+    NonlinearProblem([F_u - pull, F_p], [u, p])
+
+
+def three_scalars(mesh):
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
+    NonlinearProblem([ufl.dx(mesh)] * 3, [dolfinx.fem.Function(V) for _ in range(3)])
+
+
+def flux(mesh):
+    cell, family = mesh.basix_cell(), "RT" if mesh.geometry.dim == 3 else "RTCF"
+    pair = [basix.ufl.element(family, cell, 1), basix.ufl.element("DG", cell, 0)]
+    W = dolfinx.fem.functionspace(mesh, basix.ufl.mixed_element(pair))
+    w, t = ufl.TrialFunction(W), ufl.TestFunction(W)
+    LinearProblem(ufl.inner(w, t) * ufl.dx, t[0] * ufl.dx)
+
+
+SOLID = r"Condense a discontinuous .*NonlinearProblem\(\[F_u, F_p\], u, bcs=bcs, condense=p\)"
+OTHER = "Solve it by dolfinx, with MUMPS or a field split"
+SOLIDS = (linear_mixed, nonlinear_mixed, linear_parts, linear_blocks, nonlinear_blocks)
+WAYS = {way: SOLID for way in SOLIDS} | {
+    three_scalars: f"{OTHER}\\.",
+    flux: f"{OTHER}; or, if the vector is a flux −k ∇p, solve −div",
+}
+
+
+@pytest.mark.parametrize(("way", "text"), WAYS.items())
+@pytest.mark.parametrize("cell", [Cell.tetrahedron, Cell.quadrilateral])
+def test_one_message(way, text, cell):
+    mesh = cube(3, 1) if cell == Cell.tetrahedron else cube(2, 2, cell)
+    kind = TypeError if way in (linear_mixed, nonlinear_mixed, flux) else ValueError
+    with raises(kind, f"(of|has) [23].*but only a problem on one continuous space is torn. {text}"):
+        way(mesh)

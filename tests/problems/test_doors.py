@@ -9,8 +9,19 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from collective import COMM, agree, equal, raises, small
-from problems import Cell, Problem, cube, dirichlet, elasticity, left, owned, poisson, right
+from collective import COMM, agree, equal, raises, small, uniform
+from problems import (
+    Cell,
+    Problem,
+    cube,
+    dirichlet,
+    elasticity,
+    everywhere,
+    left,
+    owned,
+    poisson,
+    right,
+)
 
 import basix.ufl
 import dolfinx
@@ -19,6 +30,7 @@ import ufl
 
 from dolfinx_feti import LinearProblem, NonlinearProblem
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
+from dolfinx_feti.problems.forms import default_volume_ratio, derive
 from dolfinx_feti.runtime.compat import has_vertex_integrals
 from dolfinx_feti.scalars import ScalarEquation
 
@@ -31,10 +43,13 @@ def direct(a, L, bcs):
     return Problem(L.arguments()[0].ufl_function_space(), a, L, bcs).solve_directly()
 
 
-def residual_form(problem):
-    """The same problem as a residual, with its unknown."""
-    u = dolfinx.fem.Function(problem.V)
-    return ufl.action(problem.a, u) - problem.L, u
+def create(a, L, *, nonlinear, **arguments):
+    """Make a problem, or the same one by its residual."""
+    arguments = {"subdomains": 4, "petsc_options": RTOL} | arguments
+    if not nonlinear:
+        return LinearProblem(a, L, **arguments)
+    u = dolfinx.fem.Function(L.arguments()[0].ufl_function_space())
+    return NonlinearProblem(ufl.action(a, u) - L, u, **arguments)
 
 
 @pytest.mark.parametrize("options", KINDS)
@@ -42,23 +57,20 @@ def residual_form(problem):
 def test_conditions_are_replaced(make, options):
     """More dofs, others, another value, one component, and the first ones again."""
     body = make(cube(2, 6))
-    V, options = body.V, {**RTOL, **options}
-    F, w = residual_form(body)
-    first = [dirichlet(V, left)]
-    linear = LinearProblem(body.a, body.L, bcs=first, subdomains=4, petsc_options=options)
-    nonlinear = NonlinearProblem(F, w, bcs=first, subdomains=4, petsc_options=options)
+    V, first = body.V, [dirichlet(body.V, left)]
+    common = {"bcs": first, "petsc_options": {**RTOL, **options}}
+    problems = [create(body.a, body.L, nonlinear=kind, **common) for kind in (False, True)]
     second = [dirichlet(V, right)]
     component = [dirichlet(V, right, component=1)] if V.dofmap.bs == 2 else []
     for bcs in (first, [*first, *second], second, first + component, first):
-        linear.bcs = nonlinear.bcs = bcs
-        agree(list(linear.bcs) == list(nonlinear.bcs) == bcs)
         expected = direct(body.a, body.L, bcs)
-        equal(owned(linear.solve()), expected, 1e-7)
-        nonlinear.solve()
-        equal(owned(w), expected, 1e-7)
+        for problem in problems:
+            problem.bcs = bcs
+            agree(list(problem.bcs) == bcs)
+            equal(owned(problem.solve()), expected, 1e-7)
     with raises(ValueError, r"bcs\[0\] lives on another function space"):
-        linear.bcs = [dirichlet(poisson(cube(2, 2)).V, left)]
-    agree(list(linear.bcs) == first)
+        problem.bcs = [dirichlet(poisson(cube(2, 2)).V, left)]
+    agree(list(problem.bcs) == first)
 
 
 def test_vector_that_is_no_displacement():
@@ -69,38 +81,19 @@ def test_vector_that_is_no_displacement():
     found = []
     for unit in (1.0, 1e-3, 1e3):
         u = dolfinx.fem.Function(V)
-        bcs = []
-        for at, value in ((0.0, 5.0 * unit), (1.0, 0.0)):
-            dofs = dolfinx.fem.locate_dofs_geometrical(V, lambda x, at=at: np.isclose(x[0], at))
-            bcs.append(dolfinx.fem.dirichletbc(np.array([value, 0.0]), dofs, V))
+        held = lambda x, unit=unit: 5.0 * unit * (1 - x[:2]) * [[1.0], [0.0]]  # noqa: E731
+        bcs = [dirichlet(V, side, held) for side in (left, right)]
         k = 1 + ufl.inner(u, u) / unit**2
         form = k * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
         NonlinearProblem(form, u, bcs=bcs, subdomains=4).solve()
-        found.append(u.x.array.reshape(-1, 2)[:, 0] / unit)
+        found.append(u.x.array[::2] / unit)
         equal(found[-1], found[0], 1e-6)
     middle = found[0][np.isclose(x[: len(found[0])], 0.5)]
     agree(np.all(np.abs(middle - 3.8687) < 0.05), middle)
 
 
-def kinematic(u):
-    """Terms that only a displacement has, and how each is written."""
-    gdim = len(u)
-    F = ufl.Identity(gdim) + ufl.grad(u)
-    E = ufl.grad(u) + ufl.grad(u).T + ufl.grad(u).T * ufl.grad(u)
-    G = ufl.variable(F)
-    return {
-        "C": ufl.tr(F.T * F),
-        "J": ufl.ln(ufl.det(F)),
-        "Green": ufl.inner(E, E),
-        "turned": ufl.tr(ufl.grad(u) + ufl.Identity(gdim)) ** 2,
-        "variable": ufl.inner(G, G),
-    }
-
-
 def test_what_tells_a_displacement():
     """Det F is watched where the forms have kinematics: in an energy, a residual, its parts."""
-    from dolfinx_feti.problems.forms import default_volume_ratio, derive
-
     V = dolfinx.fem.functionspace(cube(2, 2), ("Lagrange", 1, (2,)))
     u, v = dolfinx.fem.Function(V), ufl.TestFunction(V)
 
@@ -108,43 +101,35 @@ def test_what_tells_a_displacement():
         forms = derive(F, u, J=None, condense=(), energy=None, degree=None)
         return default_volume_ratio(forms) is not None
 
-    for name, term in kinematic(u).items():
-        agree(watched(term * ufl.dx), name)
-        agree(watched(ufl.derivative(term * ufl.dx, u, v)), name)
-    s = ufl.inner(ufl.grad(u), ufl.grad(u))
+    H, one = ufl.grad(u), ufl.Identity(2)
+    F, E = one + H, H + H.T + H.T * H
+    G = ufl.variable(F)
+    ways = ufl.tr(F.T * F), ufl.ln(ufl.det(F)), ufl.inner(E, E), ufl.tr(H + one) ** 2
+    for term in (*ways, ufl.inner(G, G)):
+        agree(watched(term * ufl.dx), term)
+        agree(watched(ufl.derivative(term * ufl.dx, u, v)), term)
+    s = ufl.inner(H, H)
     eps = ufl.sym(ufl.grad(u))
-    sigma = eps + 3 * ufl.tr(eps) * ufl.Identity(2)
+    sigma = eps + 3 * ufl.tr(eps) * one
     for F in (s * ufl.dx, (1 + s) ** 1.5 * ufl.dx, ufl.inner(sigma, ufl.grad(v)) * ufl.dx):
         agree(not watched(F), F)
-
-
-def rigid_body_modes(V):
-    """PETSc's own, of the dofs' points."""
-    x = PETSc.Vec().create(COMM)
-    n = V.dofmap.index_map.size_local
-    x.setSizes((2 * n, None), bsize=2)
-    x.setUp()
-    x.array[:] = V.tabulate_dof_coordinates()[:n, :2].ravel()
-    return PETSc.NullSpace().createRigidBody(x)
 
 
 @pytest.mark.parametrize("nonlinear", [False, True])
 @pytest.mark.parametrize("way", ["argument", "matrix"])
 def test_near_null_space_is_the_users(way, nonlinear):
     body = elasticity(cube(2, 6))
-    given = rigid_body_modes(body.V)
+    x = body.V.tabulate_dof_coordinates()[: body.V.dofmap.index_map.size_local, :2]
+    points = PETSc.Vec().createWithArray(x.ravel(), bsize=2, comm=COMM)
+    given = PETSc.NullSpace().createRigidBody(points)
     argument = {"near_null_space": given} if way == "argument" else {}
-    bcs = [dirichlet(body.V, left)]
-    kind, forms = (
-        (NonlinearProblem, residual_form(body)) if nonlinear else (LinearProblem, (body.a, body.L))
-    )
-    problem = kind(*forms, bcs=bcs, subdomains=4, petsc_options=RTOL, **argument)
+    problem = create(body.a, body.L, nonlinear=nonlinear, bcs=body.bcs, **argument)
     if way == "matrix":
         problem.A.setNearNullSpace(given)
     for _ in range(2):
         found = owned(problem.solve())
         agree(problem.A.getNearNullSpace().handle == given.handle)
-        equal(found, direct(body.a, body.L, bcs), 1e-7)
+        equal(found, body.solve_directly(), 1e-7)
 
 
 @pytest.mark.parametrize("nonlinear", [False, True])
@@ -154,11 +139,8 @@ def test_null_space(nonlinear):
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u, v, x = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
     a, L = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, ufl.cos(np.pi * x[0]) * v * ufl.dx
-    w, constant = dolfinx.fem.Function(V), PETSc.NullSpace().create(constant=True, comm=COMM)
-    kind, forms = (
-        (NonlinearProblem, (ufl.action(a, w) - L, w)) if nonlinear else (LinearProblem, (a, L))
-    )
-    found = kind(*forms, null_space=constant, subdomains=4, petsc_options=RTOL).solve()
+    constant = PETSc.NullSpace().create(constant=True, comm=COMM)
+    found = create(a, L, nonlinear=nonlinear, null_space=constant).solve()
     points = V.tabulate_dof_coordinates()[:, 0]
     small(np.abs(found.x.array - np.cos(np.pi * points) / np.pi**2).max(), 3e-3)
 
@@ -166,8 +148,7 @@ def test_null_space(nonlinear):
 def test_force_at_a_point():
     """A load that no form has, added to the vector."""
     body = elasticity(cube(2, 6))
-    bcs = [dirichlet(body.V, left)]
-    problem = LinearProblem(body.a, body.L, bcs=bcs, subdomains=4, petsc_options=RTOL)
+    problem = create(body.a, body.L, nonlinear=False, bcs=body.bcs)
     corner = dolfinx.fem.locate_dofs_geometrical(
         body.V, lambda x: np.isclose(x[0], 1.0) & np.isclose(x[1], 1.0)
     )
@@ -178,10 +159,9 @@ def test_force_at_a_point():
     problem.solver.solve(b, x)
     r = A.createVecLeft()
     A.mult(x, r)
-    free = np.ones(len(r.array), dtype=bool)
-    fixed, _ = bcs[0]._cpp_object.dof_indices()
-    free[fixed[fixed < len(free)]] = False
-    small(np.abs((r.array_r - b.array_r)[free]).max(initial=0.0), 1e-9)
+    error = r.array_r - b.array_r
+    body.bcs[0].set(error, None, 0.0)
+    uniform(error, 0.0, 1e-9)
     agree(COMM.allreduce(len(here)) == 1)
     for each in (b, x, r):
         each.destroy()
@@ -292,8 +272,7 @@ def test_scalars_meet_other_conditions():
     common = {"u": u, "scalars": [mean], "subdomains": 4, "petsc_options": RTOL}
     problem = LinearProblem(body.a, body.L, bcs=some, **common)
     first = problem.solve().x.array.copy()
-    imap = V.dofmap.index_map
-    dofs = np.arange(imap.size_local + imap.num_ghosts, dtype=np.int32)
+    dofs = np.arange(len(first), dtype=np.int32)
     problem.bcs = [dolfinx.fem.dirichletbc(dolfinx.fem.Function(V), dofs)]
     with raises(ValueError, "neither depend on a dof of u that is free"):
         problem.solve()
@@ -302,3 +281,28 @@ def test_scalars_meet_other_conditions():
         again = problem.solve().x.array.copy()
         fresh = LinearProblem(body.a, body.L, bcs=bcs, **common).solve().x.array
         equal(again, fresh if expected is None else expected, 1e-7)
+
+
+LENGTH = 2.5
+
+
+@pytest.mark.parametrize("options", [{}, {"feti_formulation": "dual"}, {"feti_type": "classical"}])
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("ends", ["held", "springs", "one held"])
+def test_any_number_of_intervals(degree, ends, options):
+    """−k u″ = 1 with u = 0, or −k u′ = k u, at the ends; in any unit of k."""
+    mesh = dolfinx.mesh.create_interval(COMM, 40, [0.0, LENGTH])
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
+    u, v, x = ufl.TrialFunction(V), ufl.TestFunction(V), V.tabulate_dof_coordinates()[:, 0]
+    a = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+    if ends == "springs":
+        a += u * v * ufl.ds
+    value = {"held": x * (LENGTH - x), "one held": x * (2 * LENGTH - x)}
+    expected = value.get(ends, LENGTH + x * (LENGTH - x)) / 2
+    held = {"held": everywhere, "one held": left}
+    bcs = [dirichlet(V, held[ends])] if ends in held else []
+    options = {"ksp_rtol": 1e-11, **options}
+    for k in (1.0, 1e-9, 1e9):
+        for n in (2, 3, 4, 5, 6, 7, 8, 10, 13):
+            problem = LinearProblem(k * a, v * ufl.dx, bcs, subdomains=n, petsc_options=options)
+            equal(k * problem.solve().x.array, expected, 1e-8)

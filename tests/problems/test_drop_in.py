@@ -1,10 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Scripts written for dolfinx, in ``drop_in/``, run with the two documented changes."""
+"""Scripts for dolfinx, in ``drop_in/``, run with the two documented changes, also their options."""
 
 from __future__ import annotations
 
+import logging
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,15 +14,19 @@ from typing import Any
 from petsc4py import PETSc
 
 import numpy as np
-from collective import COMM, agree, lu_solve, norm, small
+import pytest
+from bodies import block, yeoh
+from collective import COMM, agree, equal, norm, raises, small
 from mixed import by_place
-from problems import owned
+from problems import Problem, cube, elasticity, owned, torn
 
 import dolfinx
 import dolfinx.fem.petsc
 import ufl
 
 import dolfinx_feti
+from dolfinx_feti import ConvergenceError
+from dolfinx_feti.runtime.petsc_options import inserted
 
 SCRIPTS = Path(__file__).parent / "drop_in"
 
@@ -71,26 +76,79 @@ def test_linear_script(caplog):
 
 def test_nonlinear_script():
     found = run(changed("tutorial"))
-    small(correction(found.residual, found.u, found.bcs), 1e-7)
+    u, F, bcs = found.u, found.residual, found.bcs
+    held = u.x.array.copy()
+    for bc in bcs:
+        bc.set(held)
+    equal(u.x.array, held, 1e-10)
+    newton = Problem(u.function_space, ufl.derivative(F, u), -F, bcs).solve_directly()
+    small(norm(newton) / norm(owned(u)), 1e-7)
     agree(isinstance(found.problem, dolfinx_feti.NonlinearProblem))
     if RECENT:
         small(difference(found.uh, run(original("tutorial")).uh), 1e-6)
 
 
-def correction(F: ufl.Form, u: dolfinx.fem.Function, bcs: list[dolfinx.fem.DirichletBC]) -> float:
-    """Return ‖ΔU‖/‖U‖ of a Newton step by LU, assembled by dolfinx without the package."""
-    r = dolfinx.fem.assemble_vector(dolfinx.fem.form(F))
-    r.scatter_reverse(dolfinx.la.InsertMode.add)
-    gap = np.zeros_like(r.array)
-    for bc in bcs:
-        bc.set(r.array, u.x.array, -1.0)
-        bc.set(gap, u.x.array, -1.0)
-    small(norm(gap[: len(owned(u))]), 1e-10)  # the conditions hold, nothing is to be lifted
-    A = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(ufl.derivative(F, u)), bcs=bcs)
-    A.assemble()
-    b = A.createVecLeft()
-    b.array[:] = r.array[: len(owned(u))]
-    size = norm(lu_solve(A, b)) / norm(owned(u))
-    A.destroy()
-    b.destroy()
-    return size
+DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+SNES = {"snes_type": "newtonls", "snes_linesearch_type": "none"}
+
+#: Sums over processes come in any order: eps times the condition number, some 1e4.
+ROUNDING = 1e-11
+
+
+def linear(options):
+    return torn(elasticity(cube(2, 4)), prefix="old_", **options)
+
+
+def logged(caplog):
+    """Return the warnings, and forget them."""
+    texts = [record.message for record in caplog.records if record.levelno == logging.WARNING]
+    caplog.clear()
+    agree(len(texts) <= 1, texts)
+    return "".join(COMM.bcast(texts))
+
+
+@pytest.mark.parametrize("by", ["argument", "command line"])
+def test_options_of_a_linear_problem(by, caplog):
+    expected = linear({})
+    expected.solve()
+    agree(not logged(caplog))
+    before = PETSc.Options().getAll()
+    with inserted("old_", DIRECT if by == "command line" else {}):
+        problem = linear(DIRECT if by == "argument" else {})
+        text = logged(caplog)
+        problem.solve()
+        agree(not logged(caplog), "once is enough")
+    equal(owned(problem.u), owned(expected.u), ROUNDING)
+    agree(problem.solver.getType() == "python" and problem.solver.getPC().getType() == "none")
+    agree(PETSc.Options().getAll() == before)
+    for part in ("-old_ksp_type preonly", "-old_pc_type lu", "type mumps", "-old_feti_…"):
+        agree(part in text, text)
+
+
+def test_options_of_a_nonlinear_problem(caplog):
+    body, other = block(yeoh, (0.3, 0.1)), block(yeoh, (0.3, 0.1))
+    body.problem().solve()
+    problem = other.problem(DIRECT | SNES)
+    text = logged(caplog)
+    agree(all(name in text for name in DIRECT | SNES), text)
+    problem.solve()
+    equal(owned(other.u), owned(body.u), ROUNDING)
+    agree(problem.solver.getType() == problem.solver.getKSP().getType() == "python")
+
+
+@pytest.mark.parametrize("name", ["ksp_error_if_not_converged", "snes_error_if_not_converged"])
+def test_error_if_not_converged(name):
+    """The package's own error says it better than a number of PETSc's."""
+    with raises(ConvergenceError, "ksp_max_it"):
+        block(yeoh, (0.3, 0.1)).problem({name: True, "ksp_max_it": 2}).solve()
+    with raises(ConvergenceError, "FETI did not converge: .*old_ksp_max_it"):
+        linear({"ksp_error_if_not_converged": True, "ksp_max_it": 1}).solve()
+
+
+def test_options_without_a_log(caplog):
+    """Of FETI itself, whose context stays the one of the problem, and without the prefix."""
+    with inserted("", {"pc_type": "lu"}):
+        problem = linear({"ksp_type": "python", "ksp_python_type": "dolfinx_feti.FETI"})
+        problem.solve()
+    agree(problem.solver.getPythonContext().iterations == problem.history[0].linear_iterations)
+    agree(not logged(caplog))

@@ -1,9 +1,14 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Newton's method that cannot go on: where it stops, why, and what its message says."""
+"""Newton's method that cannot go on: where it stops, why, and what its message says.
+
+What fails on the last process alone fails on all.
+"""
 
 from __future__ import annotations
+
+import gc
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -12,13 +17,16 @@ import numpy as np
 import pytest
 from bodies import PREFIX, block, least_ratio, yeoh
 from collective import COMM, agree, equal, raises, small
-from problems import cube, owned
+from problems import cube, owned, poisson, torn
 from walls import tube, wall
 
 import dolfinx
 import ufl
 
 from dolfinx_feti import ConvergenceError, NonlinearProblem
+from dolfinx_feti.fem import assembly
+from dolfinx_feti.fem.condensation import Condensation
+from dolfinx_feti.problems.system import System
 
 Reason = PETSc.SNES.ConvergedReason
 
@@ -26,18 +34,15 @@ Reason = PETSc.SNES.ConvergedReason
 def test_load_far_too_big_for_one_step():
     """300 mmHg at once: the wall is there, or an error says how to get there."""
     body = wall(tube(), degree=1)
-    problem = body.problem(2, {"snes_max_it": 15})
+    problem, failed = body.problem(2, {"snes_max_it": 15}), ""
     try:
         body.inflate(problem, [300.0])
-        failed = ""
     except ConvergenceError as error:
         failed = str(error)
-        agree("smaller steps" in failed or "feti_" in failed, failed)
-    agree(len(set(COMM.allgather(failed == ""))) == 1)
-    agree((failed == "") == (problem.solver.getConvergedReason() > 0))
+    agree(not failed or "smaller steps" in failed or "feti_" in failed, failed)
+    agree(COMM.bcast(failed == "") == (failed == "") == (problem.solver.getConvergedReason() > 0))
     agree(np.all(np.isfinite(body.u.x.array)) and least_ratio(body.u) > 0.0)
-    body.u.x.array[:] = 0.0
-    body.p.x.array[:] = 0.0
+    body.u.x.array[:] = body.p.x.array[:] = 0.0
     body.inflate(problem, [5.0])
     agree(problem.solver.getConvergedReason() > 0)
 
@@ -98,23 +103,16 @@ def test_failure_of_the_linear_solver():
     equal(owned(body.u), 0.0 * owned(body.u))
 
 
-def flat_at_one() -> tuple[dolfinx.fem.Function, ufl.Form]:
-    """Π' = ∫ ε ∇u·∇v + f v with f = u − 1 − u²/2 + u² (u − 1)².
+def flat(*, energy=True, **options):
+    """Π' = ∫ ε ∇u·∇v + f v with f = u − 1 − u²/2 + u² (u − 1)², by Π or its derivative.
 
     From zero a whole step leads to u = 1, where K 1 = 0 for f' = 0; f = 0 is further on.
     """
-    V = dolfinx.fem.functionspace(cube(2, 8), ("Lagrange", 1))
-    u = dolfinx.fem.Function(V)
+    u = dolfinx.fem.Function(dolfinx.fem.functionspace(cube(2, 8), ("Lagrange", 1)))
     well = u**2 / 2 - u - u**3 / 6 + u**5 / 5 - u**4 / 2 + u**3 / 3
-    return u, (0.05 * ufl.inner(ufl.grad(u), ufl.grad(u)) + well) * ufl.dx
-
-
-def flat(*, energy=True, **options):
-    """The problem of flat_at_one, with the energy or its derivative."""
-    u, F = flat_at_one()
+    F = (0.05 * ufl.inner(ufl.grad(u), ufl.grad(u)) + well) * ufl.dx
     F = F if energy else ufl.derivative(F, u, ufl.TestFunction(u.function_space))
-    given = {"subdomains": 6, "petsc_options_prefix": PREFIX, "petsc_options": options}
-    return u, NonlinearProblem(F, u, **given)
+    return u, NonlinearProblem(F, u, subdomains=6, petsc_options=options)
 
 
 def arrived(u):
@@ -174,3 +172,84 @@ def test_singular_tangent_at_the_start():
     u.x.array[:] = 1.0
     with raises(ConvergenceError, steps):
         problem.solve()
+
+
+# -- on the last process
+
+LAST = COMM.rank == COMM.size - 1
+
+
+def broken(*_: object, **__: object) -> None:
+    raise FloatingPointError("on purpose")
+
+
+@pytest.mark.parametrize("name", ["form", "Expression"])
+def test_compilation(name, monkeypatch):
+    """As where the cache of one machine cannot be written."""
+    original = getattr(dolfinx.fem, name)
+
+    def compiled(*args, **options):
+        result = original(*args, **options)  # all take part in it
+        if LAST:
+            raise RuntimeError("the cache is full")
+        return result
+
+    body = block(yeoh, (0.3, 0.1))
+    monkeypatch.setattr(dolfinx.fem, name, compiled)
+    with raises(RuntimeError, "the cache is full"):
+        body.problem()
+
+
+@pytest.mark.parametrize(
+    ("which", "collected"),
+    [("SNES", False), ("KSP", False), ("linear", False), ("KSP", True), ("linear", True)],
+)
+def test_monitor_of_the_users_own(which, collected):
+    """It fails on one process; or on all, while garbage is collected."""
+    problem = torn(poisson(cube(2, 4))) if which == "linear" else block(yeoh, (0.3, 0.1)).problem()
+    solver = problem.solver.getKSP() if which == "KSP" else problem.solver
+
+    def monitor(solver: object, its: int, norm: float) -> None:
+        for _ in range(100 * collected):
+            cycle = []
+            cycle.append(cycle)
+        if its == 1 and (LAST or collected):
+            raise ZeroDivisionError("in the monitor")
+
+    solver.setMonitor(monitor)
+    before = gc.get_threshold()
+    gc.set_threshold(*((1,) if collected else before))
+    try:
+        with raises(ZeroDivisionError, "in the monitor"):
+            problem.solve()
+    finally:
+        gc.set_threshold(*before)
+    assert gc.isenabled()
+    agree(which != "SNES" or len(problem.history) == 1)
+
+
+WORK = [(Condensation, name) for name in ("assemble", "residual", "subtract_from")]
+
+
+@pytest.mark.parametrize(("owner", "name"), [*WORK, (System, "_own_volume_ratio")])
+def test_work_of_a_step(owner, name, monkeypatch):
+    body = wall(tube(), degree=1)
+    problem = body.problem(4)
+    body.load.value = 1.0
+    if LAST:
+        monkeypatch.setattr(owner, name, broken)
+    with raises(FloatingPointError, "on purpose"):
+        problem.solve()
+
+
+def test_potential(monkeypatch):
+    """The pressure is the user's again, on all processes."""
+    body = wall(tube(), degree=1)
+    problem = body.problem(4)
+    system = problem._system
+    body.p.x.array[:] = before = np.arange(len(body.p.x.array), dtype=float)
+    monkeypatch.setattr(system, "_energy", object())
+    monkeypatch.setattr(assembly, "integrate", broken if LAST else lambda _: 1.0)
+    with raises(FloatingPointError, "on purpose"):
+        system.potential()
+    equal(body.p.x.array, before)
