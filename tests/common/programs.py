@@ -1,24 +1,48 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Programs of this folder that a test starts on processes of their own."""
+"""Programs that tests start: a path with checkpoints, which is killed, and two cubes that are cut.
+
+    python3 programs.py equilibria|inertia FOLDER [STEPS RANK]
+    mpirun -n 2 python3 programs.py cut FILE
+
+The block that is one scalar goes through time with all that there is, or on from the checkpoint
+in the folder, and writes what it has found to `FOLDER.npz`. After so many of its 60 steps, such as
+3.7, one process kills itself: four steps are balanced then, and 0.3 of the time of a step is over.
+
+The cubes are alike. The file has for each, and for each of ``SEEDS``, the process and subdomain of
+each cell, by the cells of the mesh before it was distributed.
+"""
 
 from __future__ import annotations
 
+import json
 import os
+import signal
 import subprocess
 import sys
+import threading
+import time
+from pathlib import Path
 
+from mpi4py import MPI
+
+import numpy as np
+from one_scalar import Block, Law
+from problems import cube
 from wall_files import ROOT
 
-__all__ = ["finish", "start"]
+from dolfinx_feti.fem.decomposition import decompose
+from dolfinx_feti.loading import Checkpoint
+
+COMM, SEEDS = MPI.COMM_WORLD, (0, 0, 1)
 
 #: What names the processes of a run to those that it starts.
 LAUNCHERS = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
 
 
-def start(script: str, *words: object, processes: int = 1) -> subprocess.Popen[str]:
-    """Start a script of this folder on some processes of its own."""
+def start(*words: object, processes: int = 1) -> subprocess.Popen[str]:
+    """Start one of them on some processes of its own."""
     own = {k: v for k, v in os.environ.items() if not k.startswith((*LAUNCHERS, "SCOTCH_"))}
     own |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
     own |= {
@@ -27,21 +51,57 @@ def start(script: str, *words: object, processes: int = 1) -> subprocess.Popen[s
     }
     own |= {"OMPI_MCA_mpi_yield_when_idle": "1"}
     launch = ["mpirun", "-n", str(processes)] if processes > 1 else []
-    return subprocess.Popen(
-        [*launch, sys.executable, str(ROOT / "tests/common" / script), *map(str, words)],
-        cwd=ROOT,
-        env=own,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+    command = [*launch, sys.executable, __file__, *map(str, words)]
+    said = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    return subprocess.Popen(command, cwd=ROOT, env=own, **said)
 
 
-def finish(process: subprocess.Popen[str], status: int = 0) -> str:
-    """Wait for a program; return what it said."""
+def finish(process: subprocess.Popen[str]) -> None:
+    """Wait for a program, which has to succeed."""
     try:
         said, _ = process.communicate(timeout=300)
     finally:
         process.kill()
-    assert (process.returncode == 0) == (status == 0), said
-    return said
+    assert process.returncode == 0, said
+
+
+def run_block(kind: str, folder: Path, steps: str = "inf", rank: str = "0") -> None:
+    """Go on to the end, or to a sudden one."""
+    law = Law(0.8 if kind == "inertia" else None, share=0.5, viscosity=0.3, base=0.1, pressure=0.4)
+    restart = COMM.bcast((folder / "state.npz").exists())
+    block, checkpoint = Block(COMM, law.inertia), Checkpoint(folder, COMM, restart=restart)
+    block.reset(law)
+    left, shown = float(steps), [time.monotonic()]
+
+    def on_step(step: object) -> None:
+        shown.append(time.monotonic())
+        if COMM.rank == int(rank) and left <= len(shown) - 1 < left + 1.0:
+            moment = (shown[-1] - shown[-2]) * (len(shown) - 1 - left)
+            threading.Timer(moment, lambda: os.kill(os.getpid(), signal.SIGKILL)).start()
+
+    path = block.follow(law, [0.3, 0.6], 0.01, growth=1.0, checkpoint=checkpoint, on_step=on_step)
+    found = [*block.face(), *block.remembered()]
+    if COMM.rank == 0:
+        np.savez(folder.with_suffix(".npz"), found=found, path=[step.load for step in path])
+
+
+def parts(subdomains: int) -> list[list[list[int]]]:
+    """Return the (cell, process, subdomain) of all cells of a cube, for each seed."""
+    mesh = cube(3, 8)
+    cell = mesh.topology.original_cell_index[: mesh.topology.index_map(3).size_local]
+    found = []
+    for seed in SEEDS:
+        part = decompose(mesh, subdomains, seed=seed).subdomain
+        rows = np.stack([cell, np.full(len(cell), COMM.rank), part], axis=1)
+        found.append(sorted(np.concatenate(COMM.allgather(rows)).tolist()))
+    return found
+
+
+if __name__ == "__main__":
+    kind, place, *rest = sys.argv[1:]
+    if kind != "cut":
+        run_block(kind, Path(place), *rest)
+    else:
+        written = [parts(12), parts(12)]
+        if COMM.rank == 0:
+            Path(place).write_text(json.dumps(written))

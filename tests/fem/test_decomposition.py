@@ -214,7 +214,7 @@ def test_two_runs_and_two_problems_of_one_run(tmp_path, processes):
     """Nothing in the environment helps; dolfinx distributes the cube alike, too."""
     files = [tmp_path / f"{i}.json" for i in range(2)]
     for file in files:
-        finish(start("path_run.py", "cut", file, processes=processes))
+        finish(start("cut", file, processes=processes))
     first, second = (json.loads(file.read_text()) for file in files)
     assert first == second
     for same, again, other in first:

@@ -276,14 +276,14 @@ def test_order(law, order):
 @pytest.mark.parametrize("kind", ["equilibria", "inertia"])
 def test_killed_and_restarted(tmp_path, kind):
     """SIGKILL at random moments, restarts on 2, 3 and 1 processes, with all that there is."""
-    finish(start("path_run.py", kind, tmp_path / "whole"))
+    finish(start(kind, tmp_path / "whole"))
     random, killed = np.random.default_rng(len(kind)), 0
     for n in (1, 2, 3):
         words = (kind, tmp_path / "parts", random.uniform(1.5, 15.0), random.integers(n))
-        process = start("path_run.py", *words, processes=n)
+        process = start(*words, processes=n)
         process.communicate(timeout=120)
         killed += process.returncode != 0
-    finish(start("path_run.py", kind, tmp_path / "parts"))
+    finish(start(kind, tmp_path / "parts"))
     whole, parts = (np.load(tmp_path / f"{name}.npz") for name in ("whole", "parts"))
     assert killed == 3
     assert np.abs(whole["path"] - parts["path"]).max() == 0.0

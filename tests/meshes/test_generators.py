@@ -21,16 +21,17 @@ from meshes.wall_mesh import TAGS
 pytestmark = pytest.mark.serial
 
 
-def test_tube(tmp_path):
+@pytest.mark.parametrize("quarter", [False, True])
+def test_tube(tmp_path, quarter):
     """No leak; a quarter ends exactly in its planes. ``test_bricks`` has volumes and areas."""
-    path = tmp_path / "t.msh"
-    quality = tube.create_tube(path, length=2.0, quarter=True, through=(2, 1), around=4, along=7)
+    n, path = 4 if quarter else 16, tmp_path / "t.msh"
+    quality = tube.create_tube(path, length=2.0, quarter=quarter, through=(2, 1), around=n, along=7)
     wall = read_raw_wall(path)
-    agree(quality.cells == 3 * 2 * 3 * 4 * 7 and quality.minimum > 0.3, quality)
+    agree(quality.cells == 3 * 2 * 3 * n * 7 and quality.minimum > 0.3, quality)
     watertight(wall)
     for axis, name in enumerate(("symmetry_x", "symmetry_y")):
         corners = wall.facets[wall.surfaces == TAGS[name]]
-        agree(len(corners) > 0 and np.all(wall.points[corners][..., axis] == 0))
+        agree((len(corners) > 0) == quarter and np.all(wall.points[corners][..., axis] == 0))
 
 
 def test_finer_tubes_have_more_cells(tmp_path):
@@ -60,6 +61,11 @@ def test_command_line_makes_the_example(tmp_path, monkeypatch):
     made, example = (tmp_path / "new/t.msh").read_bytes(), ROOT / "meshes/example.msh"
     agree(made == example.read_bytes() and made.startswith(b"$MeshFormat\n2.2 "))
     agree(len(made) < 100_000)
+    words = "prog t.msh --size 0.4 --quarter --through 1 1".split()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", words)
+    tube.main()
+    agree("symmetry_x" in read_raw_wall(tmp_path / "t.msh").surface_names)
 
 
 @pytest.mark.parametrize(
