@@ -27,6 +27,7 @@ from benchmarks.common.walls.first_step import POINTS, partition
 from benchmarks.common.walls.problem import summarise, volume_ratios
 from dolfinx_feti import NonlinearProblem
 from dolfinx_feti.loading import Steps
+from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.wall import facets, openings
 from meshes.walls import create_tube_wall
 
@@ -72,6 +73,16 @@ def test_both_variants_with_both_choices(tmp_path):
     mean = round(record["linear_iterations_mean"])
     steps = ", ".join(map(str, record["linear_iterations_per_newton"]))
     agree(f"| classical | 10 | lumped | 305 | 35.5 | {mean} | {steps} |" in page, page)
+
+
+@pytest.mark.serial
+def test_linear_solve_that_fails_is_recorded(tmp_path):
+    """With the reason, which the page has, too."""
+    with inserted("wall_", {"ksp_max_it": 2}):
+        (record,) = run(nonlinear, tmp_path, "--type", "classical", "--choices", "default")
+    agree("-wall_ksp_max_it" in record["failure"] and "min_J" not in record, record)
+    page = nonlinear.STUDY.write_page([tmp_path / "records.json"], tmp_path)
+    agree(f"| the package's defaults | 0 | {record['failure']} |" in page, page)
 
 
 @pytest.mark.serial
