@@ -95,13 +95,6 @@ def local_values(problem):
     problem.A.assemble()
 
 
-def diagonal(problem):
-    d = local(problem).getDiagonal()
-    d.scale(3.0)
-    local(problem).setDiagonal(d)
-    d.destroy()
-
-
 def owned(problem, dofs):
     """Return the dofs of these that this process owns."""
     first, last = problem.A.getOwnershipRange()
@@ -162,7 +155,7 @@ VALUES = {
     "torn matrix scaled": lambda p: p.A.scale(0.1),
     "one entry": lambda p: inserted(p, [(0, 0, 11.0)]),
     "values in the local numbering": local_values,
-    "diagonal": diagonal,
+    "diagonal": lambda p: local(p).setDiagonal(3.0 * local(p).getDiagonal()),
     "stiffness": stiffness,
     "stiffness in place": lambda p: p.A.query("stiffness").scale(4.0),
     "near kernel": near_kernel,

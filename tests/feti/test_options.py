@@ -5,7 +5,6 @@
 
 import dataclasses
 import re
-from typing import get_args, get_type_hints
 
 from petsc4py import PETSc
 
@@ -14,12 +13,10 @@ from collective import COMM, agree, equal, raises, whole
 from problems import cube, elasticity, owned, torn
 
 import dolfinx_feti
-from dolfinx_feti.feti.options import FETIOptions, read_options
+from dolfinx_feti.feti.options import CHOICES, KINDS, FETIOptions, read_options
 from dolfinx_feti.problems.solvers import options_without_effect
 from dolfinx_feti.runtime.petsc_options import inserted, require_prefix, withheld
 
-KINDS = get_type_hints(FETIOptions)
-CHOICES = {name: get_args(kind) for name, kind in KINDS.items() if get_args(kind)}
 NUMBERS = [name for name, kind in KINDS.items() if kind is int]
 SHARES = [name for name, kind in KINDS.items() if kind is float]
 
