@@ -19,15 +19,14 @@ import ufl
 
 from dolfinx_feti.fem.quadrature import quadrature_points
 from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.runtime.collective import bounds
 from dolfinx_feti.runtime.compat import geometry_dofmap
 
 
 def diameter(mesh: dolfinx.mesh.Mesh) -> float:
     """Return the diagonal of the box around the nodes of a mesh. Collective."""
-    x = mesh.geometry.x
-    corners = np.concatenate([x.max(axis=0, initial=-np.inf), (-x).max(axis=0, initial=-np.inf)])
-    mesh.comm.Allreduce(MPI.IN_PLACE, corners, op=MPI.MAX)
-    return float(np.linalg.norm(corners[:3] + corners[3:]))
+    low, high = bounds(mesh.geometry.x, mesh.comm)
+    return float(np.linalg.norm(high - low))
 
 
 class Nodes:

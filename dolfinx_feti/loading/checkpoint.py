@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -125,7 +126,9 @@ class Checkpoint:
         head["record"] = on_first(lambda: _plain("record", dict(record)), self._comm)
         parts, first = _gathered(_arrays(functions, past), self._comm), self._comm.rank == 0
         try:
-            on_all(lambda: self._write(head, parts) if first else _exhaust(parts), self._comm)
+            on_all(
+                lambda: self._write(head, parts) if first else deque(parts, maxlen=0), self._comm
+            )
         except Exception as error:
             kept = "there is none yet" if self._head is None else "the one before it is kept"
             raise OSError(
@@ -211,7 +214,7 @@ class Checkpoint:
             os.replace(aside, self._path)
             _sync(self.folder)
         finally:
-            _exhaust(parts)
+            deque(parts, maxlen=0)  # others wait until it is received
             aside.unlink(missing_ok=True)
 
     def _read(self, functions: Sequence[dolfinx.fem.Function]) -> list[list[Array]]:
@@ -274,12 +277,6 @@ def _gathered(mine: Iterator[tuple[str, Stored]], comm: MPI.Comm) -> Iterator[tu
             continue
         yield f"0/{name}", array
         yield from ((f"{p}/{name}", comm.recv(source=p)) for p in range(1, comm.size))
-
-
-def _exhaust(parts: Iterator[tuple[str, Stored]]) -> None:
-    """Take the rest, as others wait until it is received."""
-    for _ in parts:
-        pass
 
 
 def _describe(

@@ -12,7 +12,6 @@ import dolfinx
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.multipliers import Anderson
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
-from dolfinx_feti.problems.system import Tangent
 
 __all__ = ["MOST", "FixedPoint"]
 
@@ -46,16 +45,11 @@ class FixedPoint:
         """Depend on no length of a step."""
 
     def solve(
-        self,
-        *,
-        reference: float | None = None,
-        first_tangent: Tangent | None = None,
-        renew: bool = True,
-        give_up_early: bool = False,
+        self, *, reference: float | None = None, give_up_early: bool = False, **options: Any
     ) -> dolfinx.fem.Function:
-        """Iterate; see :meth:`NonlinearProblem.solve`."""
+        """Iterate, to the end; see :meth:`NonlinearProblem.solve`."""
         self.history = []
-        self._iterate(reference, {"first_tangent": first_tangent, "renew": renew})
+        self._iterate(reference, options)
         return self.u
 
     def _iterate(self, reference: float | None, options: dict[str, Any]) -> None:

@@ -96,6 +96,7 @@ class Motion:
         self._γ = 0.5 - self._α_m + self._α_f
         self._β = 0.25 * (1.0 - self._α_m + self._α_f) ** 2
         self._last: Array = u.x.array.copy()  # u_n
+        self._free: Array = self._last  # u_{n+1} without a_{n+1}
         self._dashpots: list[tuple[dolfinx.fem.Function, dolfinx.fem.Constant]] = []
         self._density = density
         difference, v = u - self._ahead, self.velocity
@@ -193,10 +194,9 @@ class Motion:
         c = (1.0 - α_m) / ((1.0 - α_f) * β * dt**2)
         d = γ / (β * dt)
         self.dt.value, self._c.value = dt, c
-        self._last = u.copy()
-        free = u + dt * v + dt**2 * (0.5 - β) * a  # u_{n+1} without a_{n+1}
-        self._ahead.x.array[:] = free - (α_m * a - α_f * ü) / ((1.0 - α_f) * c)
-        self._set_rate(d, free - (v + dt * (1.0 - γ) * a) / d)
+        self._last, self._free = u.copy(), u + dt * v + dt**2 * (0.5 - β) * a
+        self._ahead.x.array[:] = self._free - (α_m * a - α_f * ü) / ((1.0 - α_f) * c)
+        self._set_rate(d, self._free - (v + dt * (1.0 - γ) * a) / d)
 
     def predict(self) -> None:
         """Let the iteration begin where a constant acceleration leads."""
@@ -245,10 +245,7 @@ class Motion:
 
     def _next(self) -> Array:
         """Return a_{n+1}."""
-        dt, β = float(self.dt.value), self._β
-        v, a = self.velocity.x.array, self.filtered.x.array
-        free = self._last + dt * v + dt**2 * (0.5 - β) * a
-        return np.asarray((self.u.x.array - free) / (β * dt**2))
+        return np.asarray((self.u.x.array - self._free) / (self._β * float(self.dt.value) ** 2))
 
     def _set_rate(self, d: float, behind: Array) -> None:
         """Let d (u − û) be the velocity, and that of dashpots, (u − u⁰)/Δt, too."""

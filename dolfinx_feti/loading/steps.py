@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 from dolfinx_feti.mechanics.values import require_positive, require_within
 from dolfinx_feti.problems.history import NewtonStep
 
-__all__ = ["Lengths", "LoadStep", "Step", "Steps", "load_step"]
+__all__ = ["Lengths", "LoadStep", "Steps", "load_step"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +85,7 @@ class LoadStep:
         return self.lost + self.history
 
 
-Step = TypeVar("Step", bound=LoadStep)
-
-
-def load_step(record: Mapping[str, Any], kind: type[Step]) -> Step:
+def load_step(record: Mapping[str, Any], kind: type[LoadStep]) -> LoadStep:
     """Return a load step, or one of a more special kind, from what ``asdict`` made of it."""
-    steps = {
-        name: tuple(NewtonStep(**step) for step in record[name]) for name in ("history", "lost")
-    }
+    steps = {k: tuple(NewtonStep(**step) for step in record[k]) for k in ("history", "lost")}
     return kind(**{**record, **steps})

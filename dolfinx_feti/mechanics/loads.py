@@ -26,6 +26,7 @@ from ufl.corealg.traversal import traverse_unique_terminals
 
 from dolfinx_feti.mechanics.kinematics import deformation_gradient
 from dolfinx_feti.mechanics.values import require_within, typed
+from dolfinx_feti.runtime.collective import bounds
 
 __all__ = [
     "enclosed_volume",
@@ -147,21 +148,20 @@ def pressure_potential(
 def wave(V: dolfinx.fem.FunctionSpace, which: int = 0) -> dolfinx.fem.Function:
     """Return a displacement in which nothing is symmetric. Collective."""
     mesh, dim = V.mesh, V.mesh.geometry.dim
-    x = np.asarray(mesh.geometry.x, dtype=np.float64)
-    low = np.min(mesh.comm.allgather(x.min(axis=0, initial=np.inf)), axis=0)
-    high = np.max(mesh.comm.allgather(x.max(axis=0, initial=-np.inf)), axis=0)
+    low, high = bounds(mesh.geometry.x, mesh.comm)
     length = float(np.linalg.norm(high - low))
     w, vectors = dolfinx.fem.Function(V), WAVES[which, :dim] / length
     w.interpolate(lambda x: AMPLITUDE * length * np.sin(vectors @ (x - low[:, None]) + 0.4))
     return w
 
 
-def free_norm(form: ufl.Form, held: np.ndarray) -> float:
-    """Return the norm of a linear form in the dofs that are not held. Collective."""
+def free_norm(form: ufl.Form, bcs: Sequence[dolfinx.fem.DirichletBC]) -> float:
+    """Return the norm of a linear form in the dofs that no condition holds. Collective."""
     b = dolfinx.fem.assemble_vector(dolfinx.fem.form(form))
     b.scatter_reverse(dolfinx.la.InsertMode.add)
     owned = b.index_map.size_local * b.block_size
-    b.array[held] = 0.0
+    for bc in bcs:
+        bc.set(b.array, alpha=0.0)
     return float(np.sqrt(b.index_map.comm.allreduce(float(b.array[:owned] @ b.array[:owned]))))
 
 
@@ -193,17 +193,16 @@ def _is_held(u: Expr, ds: ufl.Measure, bcs: Sequence[dolfinx.fem.DirichletBC] | 
     elements = (V.ufl_element(), V.mesh.ufl_domain().ufl_coordinate_element())
     degree = max(element.embedded_superdegree for element in elements)
     exact = ds(metadata={"quadrature_degree": V.mesh.geometry.dim * degree})
-    dofs = np.concatenate([np.zeros(0, dtype=np.int32), *(b.dof_indices()[0] for b in bcs or ())])
     w, d = (wave(V, k) for k in (0, 1))
     for bc in bcs or ():
         bc.set(w.x.array)
-    d.x.array[dofs] = 0.0
+        bc.set(d.x.array, alpha=0.0)
     v = ufl.TestFunction(V)
     force = follower_pressure(1.0, w, v, exact)
     a = ufl.derivative(force, w, d)  # a(d, v)
     a_T = ufl.derivative(follower_pressure(1.0, w, d, exact), w, v)  # a(v, d)
-    skew, whole = (free_norm(form, dofs) for form in (a - a_T, a))
-    if whole == 0.0 and free_norm(force, dofs[:0]) == 0.0:
+    skew, whole = (free_norm(form, bcs or ()) for form in (a - a_T, a))
+    if whole == 0.0 and free_norm(force, ()) == 0.0:
         raise ValueError(
             "ds has no facets: give the measure the facet tags, ufl.Measure('ds', mesh, "
             "subdomain_data=tags), and a tag that is among them."

@@ -31,7 +31,7 @@ from collections.abc import Sequence
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.mechanics.values import require_positive, require_within, typed
+from dolfinx_feti.mechanics.values import require_finite, require_positive, require_within, typed
 
 __all__ = ["elastic_part", "opened", "residual_stretch", "stress_free_direction"]
 
@@ -75,7 +75,7 @@ def residual_stretch(
         angle: Opening angle α of the whole ring [degrees], below 360.
         stretch: Axial prestretch Λ [-], positive.
     """
-    require_within(-math.inf, math.inf, {"curvature": curvature}, remedy="a finite number")
+    require_finite(curvature=curvature)
     require_within(-math.inf, 360.0, {"angle": angle}, ends=False, remedy="less than 360 degrees")
     require_positive(stretch=stretch)
     k = 360.0 / (360.0 - angle)

@@ -120,6 +120,13 @@ def join(values: npt.ArrayLike, comm: MPI.Comm) -> npt.NDArray[Any]:
     return np.concatenate(parts) if parts else np.asarray(values)
 
 
+def bounds(x: npt.NDArray[np.floating[Any]], comm: MPI.Comm) -> tuple[Array, Array]:
+    """Return the least and the greatest of the points of all processes, (d,) each. Collective."""
+    ends = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
+    low, high = np.swapaxes(np.asarray(comm.allgather(ends), dtype=np.float64), 0, 1)
+    return low.min(axis=0), high.max(axis=0)
+
+
 def reason(error: BaseException) -> str:
     """Say what went wrong, in one line."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)

@@ -22,9 +22,9 @@ import numpy as np
 import dolfinx
 import ufl
 
-from dolfinx_feti.mechanics.values import require_within
+from dolfinx_feti.mechanics.values import require_finite
 from dolfinx_feti.runtime.arrays import Array, Indices
-from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.collective import bounds, on_all
 
 __all__ = ["Wall", "area", "by_layer", "create_wall", "facets", "openings", "surface_measure"]
 
@@ -175,7 +175,7 @@ def area(wall: Wall, name: str) -> float:
 
 def extent(mesh: dolfinx.mesh.Mesh) -> tuple[Array, Array]:
     """Return the least and the greatest coordinates of a mesh [mm], (3,) each. Collective."""
-    return _bounds(np.asarray(mesh.geometry.x, dtype=np.float64), mesh.comm)
+    return bounds(mesh.geometry.x, mesh.comm)
 
 
 def plane(wall: Wall, name: str) -> tuple[int, float]:
@@ -190,7 +190,7 @@ def plane(wall: Wall, name: str) -> tuple[int, float]:
     if len(entities):  # dolfinx 0.9 divides by their number
         nodes = dolfinx.mesh.entities_to_geometry(wall.mesh, 2, entities)
         x = np.asarray(wall.mesh.geometry.x[nodes.ravel()], dtype=np.float64)
-    below, above = _bounds(x, wall.mesh.comm)
+    below, above = bounds(x, wall.mesh.comm)
     thick = above - below
     k = int(np.argmin(thick))
     if not 0.0 <= thick[k] <= OUT_OF_PLANE * np.linalg.norm(high - low):
@@ -201,12 +201,6 @@ def plane(wall: Wall, name: str) -> tuple[int, float]:
             "along its normal"
         )
     return k, float((below[k] + above[k]) / 2.0)
-
-
-def _bounds(x: Array, comm: MPI.Comm) -> tuple[Array, Array]:
-    """Return the least and the greatest of the points of all processes."""
-    low, high = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
-    return np.min(comm.allgather(low), axis=0), np.max(comm.allgather(high), axis=0)
 
 
 def surface_measure(wall: Wall) -> ufl.Measure:
@@ -220,7 +214,7 @@ def by_layer(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Function:
     Raises:
         ValueError: A layer has no value, a value names no layer, or it is not finite.
     """
-    require_within(-math.inf, math.inf, values, remedy="a finite number")
+    require_finite(**values)
     if set(values) != set(wall.layers):
         raise ValueError(
             f"values are given for {', '.join(values) or 'nothing'}, but the wall has the layers "

@@ -17,10 +17,10 @@ def newton_by_hand(
     F: ufl.Form,
     w: dolfinx.fem.Function,
     bcs: list[dolfinx.fem.DirichletBC],
-    s: dolfinx.fem.Constant | None = None,
-    c: ufl.Form | None = None,
+    s: dolfinx.fem.Constant,
+    c: ufl.Form,
 ) -> None:
-    """Solve F(w, s; v) = 0, perhaps with a scalar s and c(w) = 0, by [K B; Cᵀ 0] on all ranks.
+    """Solve F(w, s; v) = 0 and c(w) = 0, with a scalar s, by [K B; Cᵀ 0] on all ranks.
 
     Conditions have the values of w on their dofs.
     """
@@ -38,26 +38,22 @@ def newton_by_hand(
         return np.where(free, whole(b.array[:n]), 0.0)
 
     r, J = dolfinx.fem.form(F), dolfinx.fem.form(ufl.derivative(F, w))
-    if s is not None:
-        v = ufl.variable(s)
-        by_s = [i.reconstruct(integrand=ufl.diff(i.integrand(), v))
-                for i in ufl.replace(F, {s: v}).integrals()]  # fmt: skip
-        border = [dolfinx.fem.form(f) for f in (ufl.Form(by_s), ufl.derivative(c, w))]
-        c = dolfinx.fem.form(c)
+    v = ufl.variable(s)
+    by_s = [i.reconstruct(integrand=ufl.diff(i.integrand(), v))
+            for i in ufl.replace(F, {s: v}).integrals()]  # fmt: skip
+    border = [dolfinx.fem.form(f) for f in (ufl.Form(by_s), ufl.derivative(c, w))]
+    c = dolfinx.fem.form(c)
     for _ in range(12):
         A = dolfinx.fem.petsc.assemble_matrix(J, bcs=bcs)
         A.assemble()
-        K, rhs = dense(A), -vector(r)
+        B, C = map(vector, border)
+        K = np.block([[dense(A), B[:, None]], [C, 0.0]])
         A.destroy()
-        if s is not None:
-            B, C = map(vector, border)
-            K = np.block([[K, B[:, None]], [C, 0.0]])
-            rhs = np.append(rhs, -COMM.allreduce(dolfinx.fem.assemble_scalar(c)))
+        rhs = -np.append(vector(r), COMM.allreduce(dolfinx.fem.assemble_scalar(c)))
         x = np.linalg.solve(K, rhs)
         w.x.array[:n] += x[first : first + n]
         w.x.scatter_forward()
-        if s is not None:
-            s.value = s.value + x[-1]
+        s.value = s.value + x[-1]
         if np.linalg.norm(x) <= 1e-12:
             return
     raise AssertionError(f"Newton's method by hand does not converge: {np.linalg.norm(x)}")

@@ -13,13 +13,9 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
-from collective import small
-
-import dolfinx
-import ufl
 
 from dolfinx_feti.runtime import collective
-from dolfinx_feti.wall import Boundary, Wall, read_wall
+from dolfinx_feti.wall import Wall, read_wall
 from meshes.tube import create_tube
 
 T = TypeVar("T")
@@ -46,17 +42,3 @@ def centroids(wall: Wall) -> npt.NDArray[np.float64]:
     geometry = wall.mesh.geometry
     dofs = geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap
     return geometry.x[np.asarray(dofs)].mean(axis=1)
-
-
-def balanced(u: dolfinx.fem.Function, boundary: Boundary, residual: ufl.Form, force: float) -> None:
-    """Require what dolfinx alone assembles to vanish on the free dofs, and what is held to hold."""
-    b = dolfinx.fem.assemble_vector(dolfinx.fem.form(residual))
-    b.scatter_reverse(dolfinx.la.InsertMode.add)
-    b.scatter_forward()
-    size, held = np.abs(b.array).max(initial=0.0), u.x.array.copy()
-    for bc in boundary.bcs:
-        b.array[bc.dof_indices()[0]] = 0.0
-        bc.set(held)
-    applied = COMM.allreduce(size, op=max) if boundary.bcs else force  # [mN]
-    small(np.abs(b.array).max(initial=0.0) / applied, 1e-7)
-    small(np.abs(u.x.array - held).max(initial=0.0), 1e-12)

@@ -9,11 +9,8 @@ import importlib
 import inspect
 import pickle
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
-
-from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
@@ -22,13 +19,12 @@ import pytest
 import ufl
 
 from dolfinx_feti import loads, materials, supports, workshop
-from dolfinx_feti.loading import Checkpoint, Steps, TimeSteps
+from dolfinx_feti.loading import Steps, TimeSteps
 from dolfinx_feti.mechanics import memory
 from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
 from dolfinx_feti.mechanics.values import typed
 from dolfinx_feti.output import FieldWriter
-from dolfinx_feti.wall import Case, Clamp, Dashpot, Filling, Pressure, Spring, Tissue, read_wall
-from dolfinx_feti.workshop import compile_material, evaluate, fit, uniaxial
+from dolfinx_feti.wall import Case, Clamp, Dashpot, Filling, Pressure, Spring, Tissue
 
 pytestmark = pytest.mark.serial
 
@@ -221,22 +217,10 @@ def test_refused(given, match):
         work(**given)
 
 
-PSI = partial(materials.neo_hookean, c=3.0)
-
-
 @pytest.mark.parametrize(
     ("name", "call"),
     [
-        ("names", lambda: read_wall("wall.msh", MPI.COMM_SELF, names=["media"])),
-        ("c", lambda: Tissue(c="3 kPa")),
-        ("windkessel", lambda: Filling(windkessel=3.0)),
-        ("kappa", lambda: compile_material(PSI, kappa="soft")),
-        ("parameters", lambda: compile_material(PSI, parameters=["c"])),
-        ("material", lambda: evaluate(PSI, np.eye(3))),
-        ("start", lambda: fit(PSI, [], ["c"])),
-        ("stretch", lambda: uniaxial("long")),
         ("first", lambda: Steps(first="a", least=1.0)),
-        ("parameters", lambda: Checkpoint("run", MPI.COMM_SELF, parameters=["kappa"])),
         ("functions", lambda: FieldWriter("wall", None)),
         ("axis", lambda: loads.enclosed_volume(ufl.Identity(3)[0, :], ufl.ds, "z")),
     ],

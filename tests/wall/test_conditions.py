@@ -169,11 +169,16 @@ def test_bad_conditions(wall, conditions, match):
         apply_conditions(wall, displacement(wall), conditions)
 
 
-def test_bad_stretch(wall):
-    u = displacement(wall)
-    for axis, match in (("r", "axis='r': choose 'x', 'y'"), ("x", "axis='x': a prestretch pulls")):
-        with raises(ValueError, match):
-            apply_conditions(wall, u, ENDS, axis=axis)
-    for axis, stretch, match in ((None, 1.1, "no axis"), ("z", 0.0, "stretch ="), ("z", -1.0, "s")):
-        with raises(ValueError, match):
-            apply_conditions(wall, u, ENDS, axis=axis).set_stretch(stretch)
+@pytest.mark.parametrize(
+    ("axis", "stretch", "match"),
+    [
+        ("r", 1.1, "axis='r': choose 'x', 'y'"),
+        ("x", 1.1, "axis='x': a prestretch pulls"),
+        (None, 1.1, "no axis"),
+        ("z", 0.0, "stretch ="),
+        ("z", -1.0, "stretch ="),
+    ],
+)
+def test_bad_stretch(wall, axis, stretch, match):
+    with raises(ValueError, match):
+        apply_conditions(wall, displacement(wall), ENDS, axis=axis).set_stretch(stretch)

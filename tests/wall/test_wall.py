@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from broken_walls import BROKEN, EXAMPLE
 from collective import COMM, agree, equal, raises, whole
-from wall_files import ROOT, centroids, on_first, tube
+from wall_files import ROOT, centroids, on_first
 
 import dolfinx
 
@@ -38,10 +38,6 @@ def raw():
     return on_first(lambda: read_raw_wall(EXAMPLE))
 
 
-def owned(wall, dim):
-    return wall.mesh.topology.index_map(dim).size_local
-
-
 def read_changed(tmp_path, mesh, names=TAGS):
     """Write a wall and read it back."""
     on_first(lambda: write_msh(tmp_path / "wall.msh", mesh, names))
@@ -53,7 +49,7 @@ def read_changed(tmp_path, mesh, names=TAGS):
 
 def test_every_cell_has_its_layer(wall):
     tags = wall.cell_tags
-    n = owned(wall, 3)
+    n = wall.mesh.topology.index_map(3).size_local
     mine = tags.values[tags.indices < n]
     agree(np.array_equal(tags.indices[tags.indices < n], np.arange(n)))
     agree(COMM.allreduce(n) == 336)
@@ -98,14 +94,6 @@ def test_values_by_layer(wall):
     equal(f.x.array, np.where(r < RADII[1] * np.cos(ANGLE / 2), 3.0, 0.3))
     with raises(ValueError, "layers media, adventitia"):
         by_layer(wall, {"media": 3.0})
-
-
-def test_quarter_has_its_planes(tmp_path):
-    quarter = tube(tmp_path, quarter=True, size=0.4, length=1.0)
-    for axis, name in enumerate(("symmetry_x", "symmetry_y")):
-        x = dolfinx.mesh.compute_midpoints(quarter.mesh, 2, facets(quarter, name))
-        agree(np.all(x[:, axis] == 0))
-        equal(area(quarter, name), RADII[2] - RADII[0], 1e-9)
 
 
 def test_scale(tmp_path, raw):

@@ -34,7 +34,7 @@ from dolfinx_feti.feti.regularity.motions import (
     unresisted,
 )
 from dolfinx_feti.runtime.arrays import Array, Mask
-from dolfinx_feti.runtime.collective import on_all, total_of
+from dolfinx_feti.runtime.collective import bounds, on_all, total_of
 from dolfinx_feti.torn.matrix import Torn
 
 #: Growth of a random vector in the scaled N⁻¹ above which the assembled matrix is looked at: less
@@ -298,9 +298,8 @@ def _names(torn: Torn, mine: Mask, F: Array) -> str:
 
 def _middle(torn: Torn, x: Array) -> str:
     """Return the middle of points over all processes."""
-    ends = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
-    lows, highs = zip(*torn.comm.allgather(ends), strict=True)
-    return _point(0.5 * (np.min(lows, axis=0) + np.max(highs, axis=0)))
+    low, high = bounds(x, torn.comm)
+    return _point(0.5 * (low + high))
 
 
 def _largest(torn: Torn, x: Array | None, w: Array) -> str:
