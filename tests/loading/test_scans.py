@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from collective import COMM, agree, equal, norm, raises, small
 from ufl_values import scalar
-from walls import INNER, LUMEN, OUTER, fibres, lumen_measure, symmetric, tube
+from walls import INNER, LUMEN, OUTER, fibres, lumen_measure, symmetric, tube, under_pressure
 
 import dolfinx
 import ufl
 
-from dolfinx_feti import ConvergenceError, NonlinearProblem, kinematics, loads, materials
+from dolfinx_feti import ConvergenceError, kinematics, loads, materials
 from dolfinx_feti.fem.nodes import Nodes
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load, prestress, unload
 from dolfinx_feti.loading.load_steps import INADMISSIBLE
@@ -47,7 +47,6 @@ class Scan:
         u, p = dolfinx.fem.Function(V), dolfinx.fem.Function(Q)
         self.u, self.p, self.prestressed, self.length = u, p, prestressed, length
         self.fibres = a1, a2 = [fibres(mesh, sign) for sign in (1.0, -1.0)]
-        self.load = dolfinx.fem.Constant(mesh, 0.0)
 
         def psi(C, J, *a):
             elastic = materials.holzapfel_gasser_ogden(C, *a, c=100.0, k1=2.3632, k2=0.8393, J=J)
@@ -64,17 +63,11 @@ class Scan:
             self.F = kinematics.deformation_gradient(u)
             energy = psi(kinematics.right_cauchy_green(self.F), ufl.det(self.F), a1, a2)
         self.stress = kinematics.cauchy_stress(energy, self.F)
-        dx = ufl.dx(metadata={"quadrature_degree": 2})
+        potential = energy * ufl.dx(metadata={"quadrature_degree": 2})
         ds = lumen_measure(mesh)(LUMEN, metadata={"quadrature_degree": 4})
-        v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
-        R = ufl.derivative(energy * dx, u, v)
-        K = ufl.derivative(R, u, du)
-        K += loads.follower_pressure_tangent(self.load, u, v, du, ds, "symmetric")
-        R += loads.follower_pressure(self.load, u, v, ds)
-        residuals = [R, ufl.derivative(energy * dx, p, q)]
-        self.problem = self.names["problem"] = NonlinearProblem(
-            residuals, u, J=K, bcs=symmetric(V), condense=p, subdomains=4
-        )
+        body = under_pressure(u, p, symmetric(V), potential, ds, "symmetric")
+        self.load, self.problem = body.load, body.problem(4)
+        self.names["problem"] = self.problem
         mesh.geometry.x[:] *= length
         self.nodes = Nodes(mesh)
 

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import functools
 
-from mpi4py import MPI
-
 import numpy as np
+import problems
 import pytest
-from problems import dirichlet, right
+from problems import dirichlet, left, right, tagged
 from ufl_values import scalar
 
 import dolfinx
@@ -26,11 +25,8 @@ PRESSURE = 1.7
 @functools.cache
 def cube(dim):
     """Unit cube or square, a P2 space, a measure whose tag 1 is the face x = 0."""
-    make = dolfinx.mesh.create_unit_cube if dim == 3 else dolfinx.mesh.create_unit_square
-    mesh = make(MPI.COMM_WORLD, *[2] * dim)
-    face = dolfinx.mesh.locate_entities_boundary(mesh, dim - 1, lambda x: np.isclose(x[0], 0))
-    tags = dolfinx.mesh.meshtags(mesh, dim - 1, np.sort(face), np.ones(len(face), dtype=np.int32))
-    ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata={"quadrature_degree": 6})
+    mesh = problems.cube(dim, 2)
+    ds = tagged(mesh, left)(metadata={"quadrature_degree": 6})
     return dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (dim,))), ds
 
 
