@@ -26,7 +26,6 @@ from ufl.corealg.traversal import traverse_unique_terminals
 
 from dolfinx_feti.mechanics.kinematics import deformation_gradient
 from dolfinx_feti.mechanics.values import require_within, typed
-from dolfinx_feti.runtime.collective import bounds
 
 __all__ = [
     "enclosed_volume",
@@ -148,7 +147,9 @@ def pressure_potential(
 def wave(V: dolfinx.fem.FunctionSpace, which: int = 0) -> dolfinx.fem.Function:
     """Return a displacement in which nothing is symmetric. Collective."""
     mesh, dim = V.mesh, V.mesh.geometry.dim
-    low, high = bounds(mesh.geometry.x, mesh.comm)
+    x = np.asarray(mesh.geometry.x, dtype=np.float64)
+    low = np.min(mesh.comm.allgather(x.min(axis=0, initial=np.inf)), axis=0)
+    high = np.max(mesh.comm.allgather(x.max(axis=0, initial=-np.inf)), axis=0)
     length = float(np.linalg.norm(high - low))
     w, vectors = dolfinx.fem.Function(V), WAVES[which, :dim] / length
     w.interpolate(lambda x: AMPLITUDE * length * np.sin(vectors @ (x - low[:, None]) + 0.4))
