@@ -64,7 +64,6 @@ AT_MOST_TWO = [
         "problems",
         "scalars/test_windkessel.py",
         "wall/test_conditions.py",
-        "wall/test_curved_wall.py",
     )
 ]
 

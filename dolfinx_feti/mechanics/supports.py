@@ -27,14 +27,7 @@ from ufl.core.expr import Expr
 
 from dolfinx_feti.mechanics.values import require_not_negative, typed
 
-__all__ = [
-    "DASHPOTS",
-    "Dashpots",
-    "Direction",
-    "check_direction",
-    "dashpot_energy",
-    "spring_energy",
-]
+__all__ = ["DASHPOTS", "Dashpots", "Direction", "dashpot_energy", "spring_energy"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,15 +81,10 @@ def dashpot_energy(
     return viscosity / (2 * time_step) * _square(u - last, direction) * ds
 
 
-def check_direction(direction: str) -> None:
-    """Require one of the directions."""
-    if direction not in get_args(Direction):
-        raise ValueError(f"direction = {direction!r}: choose 'normal' or 'all'.")
-
-
 def _square(u: Expr, direction: Direction) -> Expr:
     """w·w of the resisted part w of a displacement."""
-    check_direction(direction)
+    if direction not in get_args(Direction):
+        raise ValueError(f"direction = {direction!r}: choose 'normal' or 'all'.")
     if direction == "all":
         return ufl.inner(u, u)
     return ufl.inner(u, ufl.FacetNormal(ufl.domain.extract_unique_domain(u))) ** 2

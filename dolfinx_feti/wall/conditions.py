@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -30,12 +30,7 @@ from dolfinx_feti.mechanics.loads import (
     pressure_potential,
     wave,
 )
-from dolfinx_feti.mechanics.supports import (
-    Direction,
-    check_direction,
-    dashpot_energy,
-    spring_energy,
-)
+from dolfinx_feti.mechanics.supports import Direction, dashpot_energy, spring_energy
 from dolfinx_feti.mechanics.values import require_finite, require_positive
 from dolfinx_feti.wall.wall import AXES, Wall, extent, facets, plane, surface_measure
 
@@ -70,7 +65,7 @@ class Spring:
     def __post_init__(self) -> None:
         """Check the values."""
         require_positive(stiffness=self.stiffness)
-        check_direction(self.direction)
+        _check_direction(self.direction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +78,7 @@ class Dashpot:
     def __post_init__(self) -> None:
         """Check the values."""
         require_positive(viscosity=self.viscosity)
-        check_direction(self.direction)
+        _check_direction(self.direction)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +113,11 @@ def by_surface(conditions: Conditions) -> dict[str, tuple[Condition, ...]]:
                 "held: leave one of them out."
             )
     return by_name
+
+
+def _check_direction(direction: str) -> None:
+    if direction not in get_args(Direction):
+        raise ValueError(f"direction = {direction!r}: choose 'normal' or 'all'.")
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,20 +41,12 @@ class StopError(Exception):
 
 @dataclass(frozen=True)
 class Event:
-    """What happens in an attempt, on the last process alone.
+    """What happens in an attempt, on the last process alone."""
 
-    Attributes:
-        kind: ``refuse`` the step, ``interrupt`` it by an exception or by a ``signal``, or ``stop``
-            the run in ``on_step``.
-        newton: In which Newton step.
-        restart: Whether the run goes on from the checkpoint, instead of from what is in memory.
-        alone: Whether it then does so on one process.
-    """
-
-    kind: str
-    newton: int
-    restart: bool
-    alone: bool
+    kind: str  #: ``refuse``, ``interrupt`` by an exception or a ``signal``, ``stop`` in ``on_step``
+    newton: int  #: in which Newton step
+    restart: bool  #: whether the run goes on from the checkpoint, not from what is in memory
+    alone: bool  #: whether it then does so on one process
 
 
 LAWS = st.builds(

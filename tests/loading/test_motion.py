@@ -64,8 +64,20 @@ class Swinging:
         )  # fmt: skip
 
 
-def quarter_wall(degree: int) -> Wall:
-    return wall(tube(quarter=True, around=3, along=1), quarter=True, degree=degree)
+def moving_wall(
+    degree: int, rho: float = 0.8, dashpot: float = 0.0
+) -> tuple[Wall, Motion, NonlinearProblem]:
+    """The quarter of a tube with inertia, and dashpots in all of it."""
+    body = wall(tube(quarter=True, around=3, along=1), quarter=True, degree=degree)
+    u, motion = body.u, Motion(body.u, DENSITY, rho=rho)
+    v = ufl.TestFunction(u.function_space)
+    extra = ufl.derivative(motion.inertia, u, v)
+    extra += dashpot * ufl.inner(motion.rate, v) * ufl.dx(u.function_space.mesh)
+    problem = NonlinearProblem(
+        [body.F_u + extra, body.F_p], u, bcs=body.bcs, J=body.J + ufl.derivative(extra, u),
+        condense=body.p, subdomains=4, petsc_options={"snes_rtol": 1e-12, "ksp_rtol": 1e-10},
+    )  # fmt: skip
+    return body, motion, problem
 
 
 def fixed(dt: float) -> TimeSteps:
@@ -76,15 +88,9 @@ def fixed(dt: float) -> TimeSteps:
 def test_pulse():
     """In the quarter of a tube, with dashpots: each equation, assembled by dolfinx alone."""
     dt, dashpot, rho = 5e-5, 5e-3, 0.8
-    body = quarter_wall(2)
-    v = ufl.TestFunction(body.u.function_space)
-    motion = Motion(body.u, DENSITY, rho=rho)
+    body, motion, problem = moving_wall(2, rho, dashpot)
     u, rate, ü, a = body.u, motion.velocity, motion.acceleration, motion.filtered
-    extra = ufl.derivative(motion.inertia, u, v) + dashpot * ufl.inner(motion.rate, v) * ufl.dx
-    problem = NonlinearProblem(
-        [body.F_u + extra, body.F_p], u, bcs=body.bcs, J=body.J + ufl.derivative(extra, u),
-        condense=body.p, subdomains=4, petsc_options={"snes_rtol": 1e-11, "ksp_rtol": 1e-10},
-    )  # fmt: skip
+    v = ufl.TestFunction(u.function_space)
     balance = body.F_u + ufl.inner(DENSITY * ü + dashpot * rate, v) * ufl.dx
     p_scale = ufl.inner(1.0, ufl.TestFunction(body.p.function_space)) * ufl.dx
     α_m, α_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
@@ -223,13 +229,7 @@ def test_restart(tmp_path):
     ends, dt = [], 5e-5
     for legs in ([4], [2, 4, 4]):  # the last one has nothing left to do
         for i, end in enumerate(legs):
-            body = quarter_wall(1)
-            motion, v = Motion(body.u, DENSITY), ufl.TestFunction(body.u.function_space)
-            inertia = ufl.derivative(motion.inertia, body.u, v)
-            problem = NonlinearProblem(
-                [body.F_u + inertia, body.F_p], body.u, bcs=body.bcs, condense=body.p,
-                subdomains=4, petsc_options={"snes_rtol": 1e-12, "ksp_rtol": 1e-10},
-            )  # fmt: skip
+            body, motion, problem = moving_wall(1)
             checkpoint = Checkpoint(tmp_path / f"{len(legs)}", COMM, restart=i > 0)
             found = follow_time(
                 problem, motion, lambda t, load=body.load: setattr(load, "value", 5.0 * t / dt),

@@ -87,11 +87,8 @@ def test_signature_of_what_is_made_again():
     for _ in range(30):
         body = Pulled()
         more = dolfinx.fem.Constant(body.mesh, 1.0) * body.c * body.u[1] ** 2 * ufl.dx
-        numbers.add(
-            content_of(
-                [body.u], [body.energy, ufl.derivative(body.energy + more, body.u)]
-            ).signature
-        )
+        forms = [body.energy, ufl.derivative(body.energy + more, body.u)]
+        numbers.add(content_of([body.u], forms).signature)
     agree(len(numbers) == 1, numbers)
     one, other = (
         content_of([body.u], [k * body.c * body.u[0] * ufl.dx]).signature for k in (1.0, 2.0)

@@ -66,55 +66,48 @@ def write(path: Path, u: dolfinx.fem.Function, times: tuple[float, ...], kind: s
 
 def read_vtx(path: Path) -> list[dict[str, Array]]:
     """Read all steps with ADIOS2's own reader: points of the cells, their centroids, values."""
-    adios2 = pytest.importorskip("adios2")
-    fields = {"displacement", "divergence", "layer"}
+    import adios2
 
-    def steps_on_first() -> list[dict[str, Array]]:
-        found = []
-        with adios2.Stream(str(path), "r") as stream:
-            for _ in stream.steps():
-                names = fields & set(stream.available_variables()) | {"geometry", "connectivity"}
-                parts = []
-                for block in range(COMM.size):
-                    part = {name: stream.read(name, block_id=block) for name in names}
-                    cells = part.pop("connectivity")[:, 1:]  # the first column counts
-                    x = part.pop("geometry")
-                    centroids = np.full_like(x, np.nan)
-                    centroids[cells] = x[cells].mean(axis=1, keepdims=True)
-                    parts.append(part | {"points": x, "centroids": centroids})
-                step = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-                found.append(step | {"t": float(stream.read("step"))})
-        return found
-
-    return on_first(steps_on_first)
+    fields, found = {"displacement", "divergence", "layer"}, []
+    with adios2.Stream(str(path), "r") as stream:
+        for _ in stream.steps():
+            names = fields & set(stream.available_variables()) | {"geometry", "connectivity"}
+            parts = []
+            for block in range(COMM.size):
+                part = {name: stream.read(name, block_id=block) for name in names}
+                cells = part.pop("connectivity")[:, 1:]  # the first column counts
+                x = part.pop("geometry")
+                centroids = np.full_like(x, np.nan)
+                centroids[cells] = x[cells].mean(axis=1, keepdims=True)
+                parts.append(part | {"points": x, "centroids": centroids})
+            step = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+            found.append(step | {"t": float(stream.read("step"))})
+    return found
 
 
 def read_xdmf(path: Path) -> list[dict[str, Array]]:
     """Read all steps with an XML parser and h5py: vertices, centroids of the cells, values."""
-    h5py = pytest.importorskip("h5py")
+    import h5py
 
-    def steps_on_first() -> list[dict[str, Array]]:
-        found: dict[float, dict[str, Array]] = {}
-        with h5py.File(path.with_suffix(".h5")) as file:
-            root = ElementTree.parse(path)
-            meshes = [
-                grid.get("Name") for grid in root.findall("./Domain/Grid[@GridType='Uniform']")
-            ]
-            for grid in root.iterfind(".//Grid[Attribute]"):
-                pointer = next(part.get("xpointer") for part in grid if "include" in part.tag)
-                place = f"Mesh/{meshes[int(re.findall(r'[0-9]+', pointer)[0]) - 1]}"
-                x, cells = (file[f"{place}/{name}"][:] for name in ("geometry", "topology"))
-                t, field = float(grid.find("Time").get("Value")), grid.find("Attribute")
-                mesh = {"t": t, "points": x, "centroids": x[cells].mean(axis=1)}
-                values = file[field.find("DataItem").text.split(":")[1]][:]
-                found.setdefault(t, mesh)[field.get("Name")] = values
-        return [found[t] for t in sorted(found)]
-
-    return on_first(steps_on_first)
+    found: dict[float, dict[str, Array]] = {}
+    with h5py.File(path.with_suffix(".h5")) as file:
+        root = ElementTree.parse(path)
+        meshes = [grid.get("Name") for grid in root.findall("./Domain/Grid[@GridType='Uniform']")]
+        for grid in root.iterfind(".//Grid[Attribute]"):
+            pointer = next(part.get("xpointer") for part in grid if "include" in part.tag)
+            place = f"Mesh/{meshes[int(re.findall(r'[0-9]+', pointer)[0]) - 1]}"
+            x, cells = (file[f"{place}/{name}"][:] for name in ("geometry", "topology"))
+            t, field = float(grid.find("Time").get("Value")), grid.find("Attribute")
+            mesh = {"t": t, "points": x, "centroids": x[cells].mean(axis=1)}
+            values = file[field.find("DataItem").text.split(":")[1]][:]
+            found.setdefault(t, mesh)[field.get("Name")] = values
+    return [found[t] for t in sorted(found)]
 
 
 def read(path: Path) -> list[dict[str, Array]]:
-    return read_vtx(path) if path.suffix == ".bp" else read_xdmf(path)
+    vtx = path.suffix == ".bp"
+    pytest.importorskip("adios2" if vtx else "h5py")
+    return on_first(lambda: read_vtx(path) if vtx else read_xdmf(path))
 
 
 # -- what is written

@@ -71,11 +71,13 @@ def test_the_documents_examples(read):
 
 
 def test_units(read):
+    """And what has none."""
     case = read(
         LEAST.replace("= 3.0", '= "3 Pa"').replace("= 1.0", '= "2 kPa"')
         + '[surfaces.outer]\nspring = "4 kPa/cm"\ndashpot = "5e6 Pa s/m"\npressure = "1 kPa"\n'
         + '[surfaces.opening_1]\nhold = "slide"\nspring = "7 Pa/m"\n'
-        + '[loading]\nrate = "1 kPa/s"\n'
+        + '[loading]\nrate = "1 kPa/s"\n[fibres]\ninner = "in"\nends = ["a", "b"]\n'
+        + '[prestretch]\naxis = "x"\nstretch = 1.2\n'
     )
     equal(case.layers["media"].c, 3e-3, 1e-12)
     equal(case.pressure * loads.mmhg(1.0), 2.0, 1e-12)
@@ -84,11 +86,6 @@ def test_units(read):
     equal([share.share, spring.stiffness, dashpot.viscosity], [0.5, 0.4, 5.0], 1e-12)
     agree(math.isclose(case.conditions["opening_1"][0].stiffness, 7e-6))
     agree(case.layers["media"] == Tissue(case.layers["media"].c))
-
-
-def test_prestretch_and_fibres(read):
-    ends = '[fibres]\ninner = "in"\nends = ["a", "b"]\n'
-    case = read(LEAST + f'{ends}[prestretch]\naxis = "x"\nstretch = 1.2\n')
     agree((case.axis, case.stretch) == ("x", 1.2))
     agree(case.fibres == {"inner": "in", "ends": ["a", "b"]}, case.fibres)
 
