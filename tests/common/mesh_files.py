@@ -19,11 +19,6 @@ Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 
-def faces(cells: Indices) -> Indices:
-    """Sorted corners of the four faces of each cell."""
-    return np.sort(cells[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
-
-
 def areas(wall: RawWall) -> dict[str, float]:
     """Area of each surface [mm²]."""
     a, b, c = np.moveaxis(wall.points[wall.facets], 1, 0)
@@ -39,7 +34,8 @@ def volumes(wall: RawWall) -> dict[str, float]:
 
 def watertight(wall: RawWall) -> None:
     """Assert that the facets are the faces of one cell alone, each of them once."""
-    found, count = np.unique(faces(wall.cells), axis=0, return_counts=True)
+    faces = wall.cells[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3)
+    found, count = np.unique(np.sort(faces, axis=1), axis=0, return_counts=True)
     agree(count.max() == 2)
     equal(np.unique(np.sort(wall.facets, axis=1), axis=0), found[count == 1])
     agree(len(wall.facets) == np.sum(count == 1))
