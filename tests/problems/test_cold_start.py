@@ -5,14 +5,12 @@
 
 from __future__ import annotations
 
-from functools import cached_property
-
 from petsc4py import PETSc
 
 import numpy as np
 import pytest
 from collective import COMM, agree, equal
-from problems import Cell, cube, dirichlet, owned, right
+from problems import Cell, cube, dirichlet, everywhere, left, owned, right
 
 import dolfinx
 import dolfinx.fem.petsc
@@ -31,14 +29,14 @@ class Scalar:
     def __init__(self, mesh: dolfinx.mesh.Mesh, degree: int = 1, *, held: bool = True) -> None:
         V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
         self.u, self.v = dolfinx.fem.Function(V), ufl.TestFunction(V)
-        self.bcs = [dirichlet(V, lambda x: np.full(x.shape[1], True))] if held else []
+        self.bcs = [dirichlet(V, everywhere)] if held else []
         self.dx = ufl.Measure("dx", mesh, metadata={"quadrature_degree": 2 * degree})
 
     def p_laplace(self, p: float, load: float, *, waves: bool = False) -> None:
         mesh = self.u.function_space.mesh
+        x = ufl.SpatialCoordinate(mesh)
         p, load = (dolfinx.fem.Constant(mesh, value) for value in (p, load))
         if waves:
-            x = ufl.SpatialCoordinate(mesh)
             load = load * ufl.sin(3 * x[0]) * ufl.cos(2 * x[1])
         size = SMALL + ufl.inner(ufl.grad(self.u), ufl.grad(self.u))
         self.energy = (size ** (p / 2) / p - load * self.u) * self.dx
@@ -51,13 +49,9 @@ class Scalar:
         size = ufl.sqrt(ufl.inner(ufl.grad(self.u), ufl.grad(self.u)) + smoothing**2)
         self.energy = ((self.u - g) ** 2 / 2 + weight * size) * self.dx
 
-    @cached_property
-    def residual(self) -> ufl.Form:
-        return ufl.derivative(self.energy, self.u, self.v)
-
-    def snes(self) -> tuple[int, np.ndarray]:
-        """Return the steps of SNES and its solution, (owned,)."""
-        F, J = map(dolfinx.fem.form, (self.residual, ufl.derivative(self.residual, self.u)))
+    def snes(self, form: ufl.Form) -> tuple[int, np.ndarray]:
+        """Return the steps of SNES to the zero of a residual and its solution, (owned,)."""
+        F, J = map(dolfinx.fem.form, (form, ufl.derivative(form, self.u)))
         A = dolfinx.fem.petsc.create_matrix(J)
         x, r, n = A.createVecRight(), A.createVecLeft(), len(owned(self.u))
 
@@ -83,8 +77,9 @@ class Scalar:
         with inserted("cold_", {"snes_linesearch_minlambda": 1e-30, "snes_linesearch_max_it": 100}):
             snes.setFromOptions()  # else it gives up where the first tangent is 1e-16 of the later
         snes.getKSP().setType(PETSc.KSP.Type.PREONLY)
-        snes.getKSP().getPC().setType(PETSc.PC.Type.LU)
-        snes.getKSP().getPC().setFactorSolverType("mumps")
+        pc = snes.getKSP().getPC()
+        pc.setType(PETSc.PC.Type.LU)
+        pc.setFactorSolverType("mumps")
         snes.solve(None, x)
         agree(snes.getConvergedReason() > 0, snes.getConvergedReason())
         steps, solution = snes.getIterationNumber(), x.array.copy()
@@ -94,13 +89,12 @@ class Scalar:
 
     def compare(self, subdomains: int) -> None:
         """Solve by the residual and by the energy, each from zero."""
-        most, expected = self.snes()
-        for F in (self.residual, self.energy):
+        residual = ufl.derivative(self.energy, self.u, self.v)
+        most, expected = self.snes(residual)
+        common = {"subdomains": subdomains, "petsc_options": {"snes_max_it": 2 * most}}
+        for F in (residual, self.energy):
             self.u.x.array[:] = 0.0
-            options = {"snes_max_it": 2 * most}
-            NonlinearProblem(
-                F, self.u, bcs=self.bcs, subdomains=subdomains, petsc_options=options
-            ).solve()
+            NonlinearProblem(F, self.u, bcs=self.bcs, **common).solve()
             equal(owned(self.u), expected, 1e-6)
 
 
@@ -147,18 +141,16 @@ def test_cube_pulled_at_once(energy, slides, most):
     u, p = map(dolfinx.fem.Function, (V, dolfinx.fem.functionspace(mesh, ("DG", 0))))
     F = ufl.Identity(3) + ufl.grad(u)
     J = ufl.det(F)
-    psi = (J ** (-2 / 3) * ufl.inner(F, F) - 3) / 2 + p * (J - 1) - p**2 / 2e4
-    potential = psi * ufl.dx(degree=4)
+    potential = (J ** (-2 / 3) * ufl.inner(F, F) / 2 + p * (J - 1) - p**2 / 2e4) * ufl.dx(degree=4)
     if slides:
         planes = [dirichlet(V, lambda x, i=i: np.isclose(x[i], 0.0), component=i) for i in range(3)]
         bcs = [*planes, dirichlet(V, right, lambda x: 1.0 + 0.0 * x[0], component=0)]
     else:
-        ends = lambda x: np.isclose(x[0] * (1.0 - x[0]), 0.0)  # noqa: E731
-        bcs = [dirichlet(V, ends, lambda x: np.stack([x[0], 0.0 * x[0], 0.0 * x[0]]))]
+        pull = lambda x: x * [[1.0], [0.0], [0.0]]  # noqa: E731
+        bcs = [dirichlet(V, side, pull) for side in (left, right)]
     residuals = [ufl.derivative(potential, f, ufl.TestFunction(f.function_space)) for f in (u, p)]
-    problem = NonlinearProblem(
-        potential if energy else residuals, u, bcs=bcs, condense=p, subdomains=4
-    )
+    F = potential if energy else residuals
+    problem = NonlinearProblem(F, u, bcs=bcs, condense=p, subdomains=4)
     problem.solve()
     agree(len(problem.history) <= most, problem.history)
     reached = u.x.array.copy()

@@ -105,12 +105,19 @@ def test_solve_that_fails():
 # -- advice: a problem that gets it, and one that does not
 
 
+def advises(quantity, wrong, *right):
+    """Require that a problem is told of a quantity, and the others are not."""
+    agree(quantity in quantities(wrong))
+    for problem in right:
+        agree(quantity not in quantities(problem))
+
+
 def test_few_and_many_dofs(monkeypatch):
     body = elasticity(cube(2, 30))
-    agree("mean dofs of a subdomain" in quantities(torn(body, 8 * COMM.size)))
-    agree("mean dofs of a subdomain" not in quantities(torn(body, COMM.size)))
+    few, many = torn(body, 8 * COMM.size), torn(body, COMM.size)
+    advises("mean dofs of a subdomain", few, many)
     monkeypatch.setattr(advice, "MANY_DOFS", 300)
-    said = [a.text for a in torn(body, COMM.size).diagnose().advice]
+    said = [a.text for a in many.diagnose().advice]
     agree(said == ["Take more subdomains."], said)
 
 
@@ -120,48 +127,41 @@ def test_many_iterations(monkeypatch):
     body = elasticity(cube(3, 4))
     weak = {"feti_pc_type": "identity", "feti_coarse_modes": 0}
     monkeypatch.setattr(advice, "MANY_ITERATIONS", 40)
-    agree("iterations" in quantities(torn(body, 8 * COMM.size, ksp_rtol=1e-12, **weak)))
-    agree("iterations" not in quantities(torn(body, 2 * COMM.size)))
+    slow = torn(body, 8 * COMM.size, ksp_rtol=1e-12, **weak)
+    advises("iterations", slow, torn(body, 2 * COMM.size))
 
 
 def test_uneven_subdomains():
     body = poisson(cube(2, 12))
     cells = np.arange(body.cells)
     last = np.maximum(cells - int(0.95 * body.cells), 0)  # the first part has nearly all cells
-    agree("largest subdomain over mean" in quantities(torn(body, last)))
-    agree("largest subdomain over mean" not in quantities(torn(body, 4 * COMM.size)))
+    advises("largest subdomain over mean", torn(body, last), torn(body, 4 * COMM.size))
 
 
-def times(factor, body):
-    """A stiffer body."""
-    return replace(body, a=factor * body.a.integrals()[0].integrand() * ufl.dx)
+def layered(hard):
+    """Return a body, the same with layers that are 1e5 times as stiff, and its midpoints' x₁."""
+    body = poisson(cube(2, 8))
+    mesh = body.V.mesh
+    factor = ufl.conditional(hard(ufl.SpatialCoordinate(mesh)[1]), 1e5, 1.0)
+    stiff = replace(body, a=factor * body.a.integrals()[0].integrand() * ufl.dx)
+    cells = np.arange(body.cells, dtype=np.int32)
+    return body, stiff, dolfinx.mesh.compute_midpoints(mesh, 2, cells)[:, 1]
 
 
 def test_equal_weights_at_a_jump():
     """Stiff and soft halves, glued with the weights of equals."""
-    mesh = cube(2, 8)
-    body = poisson(mesh)
-    x = ufl.SpatialCoordinate(mesh)
-    stiff = times(ufl.conditional(x[1] > 0.5, 1e5, 1.0), body)
-    cells = np.arange(body.cells, dtype=np.int32)
-    halves = dolfinx.mesh.compute_midpoints(mesh, 2, cells)[:, 1] > 0.5
-    quantity, equals = "jump of the stiffness between subdomains", {"feti_scaling": "multiplicity"}
-    agree(quantity in quantities(torn(stiff, halves.astype(np.int32), **equals)))
-    agree(quantity not in quantities(torn(stiff, halves.astype(np.int32))))
-    agree(quantity not in quantities(torn(body, halves.astype(np.int32), **equals)))
+    body, stiff, height = layered(lambda y: y > 0.5)
+    halves, equals = (height > 0.5).astype(np.int32), {"feti_scaling": "multiplicity"}
+    right = torn(stiff, halves), torn(body, halves, **equals)
+    advises("jump of the stiffness between subdomains", torn(stiff, halves, **equals), *right)
 
 
 def test_no_soft_modes():
     """In a layered body the paper's coarse space is too small for the weights of equals."""
-    mesh = cube(2, 8)
-    body = poisson(mesh)
-    x = ufl.SpatialCoordinate(mesh)
-    layers = ufl.conditional(ufl.sin(8 * np.pi * x[1]) > 0.0, 1e5, 1.0)
-    hard = times(layers, body)
-    weak = {"feti_coarse_modes": 0, "feti_scaling": "multiplicity", "feti_formulation": "dual"}
-    agree("condition number" in quantities(torn(hard, 6 * COMM.size, **weak)))
-    agree("condition number" not in quantities(torn(hard, 6 * COMM.size)))
-    agree("condition number" not in quantities(torn(body, 6 * COMM.size, feti_coarse_modes=0)))
+    body, hard, _ = layered(lambda y: ufl.sin(8 * np.pi * y) > 0.0)
+    n, paper = 6 * COMM.size, {"feti_coarse_modes": 0}
+    weak = torn(hard, n, feti_scaling="multiplicity", feti_formulation="dual", **paper)
+    advises("condition number", weak, torn(hard, n), torn(body, n, **paper))
 
 
 @pytest.mark.parametrize("degree", [1, 2])

@@ -83,19 +83,11 @@ def test_a_tangent_is_kept_where_it_leads_to_the_end(kappa, monkeypatch):
     agree(max(kept, default=0.0) < 0.3, kept)
 
 
-def ridge(kind="all_floating", *, energy=True):
-    """Start near the ridge between two valleys, with the energy or its derivative."""
-    u, potential, bcs = two_wells()
-    v = ufl.TestFunction(u.function_space)
-    F = potential if energy else ufl.derivative(potential, u, v)
-    options = {"feti_type": kind}
-    return u, potential, NonlinearProblem(F, u, bcs=bcs, subdomains=6, petsc_options=options)
-
-
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 def test_way_down_from_a_ridge(kind):
     """Each step lowers the potential, by a shift at first; the last ones are Newton's own."""
-    u, energy, problem = ridge(kind)
+    u, energy, bcs = two_wells()
+    problem = NonlinearProblem(energy, u, bcs, subdomains=6, petsc_options={"feti_type": kind})
     form, heights = dolfinx.fem.form(energy), []
 
     def keep(snes, its, norm):
@@ -120,7 +112,9 @@ def test_way_down_from_a_ridge(kind):
 
 def test_residual_alone_goes_where_newton_leads():
     """Without an energy nobody knows up from down: the ridge is a solution of F = 0."""
-    u, _, problem = ridge(energy=False)
+    u, energy, bcs = two_wells()
+    F = ufl.derivative(energy, u, ufl.TestFunction(u.function_space))
+    problem = NonlinearProblem(F, u, bcs, subdomains=6)
     problem.solve()
     agree(all(step.shift == 0.0 and step.solves == 1 for step in problem.history))
     small(COMM.allreduce(np.abs(owned(u)).max(initial=0.0), op=max), 0.5)
@@ -190,8 +184,7 @@ def test_tolerances():
 
 def test_monitor_and_history_of_the_snes(tmp_path):
     """PETSc's own monitor writes a line for each residual, and the SNES remembers them."""
-    file = tmp_path / "monitor"
-    body = block(yeoh, (0.3, 0.1))
+    file, body = tmp_path / "monitor", block(yeoh, (0.3, 0.1))
     problem = body.problem({"snes_monitor": f"ascii:{file}", "snes_linesearch_type": "basic"})
     problem.solver.setConvergenceHistory()
     problem.solve()

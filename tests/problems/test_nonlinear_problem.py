@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import gc
+import random
 import weakref
 
 from mpi4py import MPI
 
+import cffi
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small
@@ -71,9 +73,8 @@ def test_preconditioner_of_the_last_solve(renew, monkeypatch):
 
 
 def test_what_a_problem_offers():
-    body = wall(tube(), degree=1)
-    small = {"feti_coarse_adaptive": 0, "feti_deflation": 0}  # a space without the solution
-    problem = body.problem(4, small)
+    body = wall(tube(), degree=1)  # and a coarse space without the solution
+    problem = body.problem(4, {"feti_coarse_adaptive": 0, "feti_deflation": 0})
     agree(problem.history == [] and problem.u is body.u)
     problem.solve()  # at rest there is nothing to do
     agree(problem.history == [] and problem.solver.getConvergedReason() > 0)
@@ -133,26 +134,15 @@ def test_tangent_that_the_matrix_does_not_hold(monkeypatch):
     problem.solve(first_tangent=problem.linearise())
 
 
-def exponential(mesh: dolfinx.mesh.Mesh, degree: int, **metadata: object) -> tuple:
-    """An energy whose degree UFL estimates far too high."""
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+def stretched(degree, *, given=None, **metadata):
+    """Solve with the package's quadrature, the problem's or the measure's; it is hard to guess."""
+    V = dolfinx.fem.functionspace(cube(2, 3), ("Lagrange", degree, (2,)))
     u = dolfinx.fem.Function(V)
     C = ufl.Identity(2) + ufl.grad(u) + ufl.grad(u).T + ufl.grad(u).T * ufl.grad(u)
     energy = (ufl.exp(ufl.tr(C) - 2) - ufl.ln(ufl.det(C))) * ufl.dx(metadata=metadata or None)
-    return (
-        energy,
-        u,
-        [dirichlet(V, left), dirichlet(V, right, lambda x: 0.3 * np.stack([x[1], x[0]]))],
-    )
-
-
-def stretched(degree: int, *, given: int | None = None, **metadata: object) -> np.ndarray:
-    """Solve with the package's quadrature, the problem's or the measure's."""
-    energy, u, bcs = exponential(cube(2, 3), degree, **metadata)
-    options = {"snes_rtol": 1e-12, "snes_atol": 1e-13}
-    NonlinearProblem(
-        energy, u, bcs=bcs, subdomains=3, petsc_options=options, quadrature_degree=given
-    ).solve()
+    bcs = [dirichlet(V, left), dirichlet(V, right, lambda x: 0.3 * np.stack([x[1], x[0]]))]
+    common = {"petsc_options": {"snes_rtol": 1e-12, "snes_atol": 1e-13}, "subdomains": 3}
+    NonlinearProblem(energy, u, bcs, quadrature_degree=given, **common).solve()
     if given is None and not metadata:  # dolfinx's quadrature: the residual of its own form is zero
         F = ufl.derivative(energy, u, ufl.TestFunction(u.function_space))
         small(np.divide(*free_residual(F, bcs)), 1e-10)  # beside the supports' reactions
@@ -187,10 +177,7 @@ def test_explosive_quadrature(degree, expected, caplog):
             NonlinearProblem(psi * ufl.dx, u, subdomains=0)
     texts = [record.message for record in caplog.records]
     agree(len(texts) == (COMM.rank == 0), texts)
-    for wanted in (
-        f"quadrature degree of {expected} for F",
-        f"quadrature_degree={2 * degree}, twice",
-    ):
+    for wanted in (f"degree of {expected} for F", f"quadrature_degree={2 * degree}, twice"):
         agree(all(wanted in text for text in texts), texts)
     caplog.clear()
     with raises(ValueError, stopped):
@@ -219,3 +206,50 @@ def test_nothing_is_left_behind():
     gc.collect()
     agree(gone() is None)
     agree(not A, "the torn tangent is still there")
+
+
+def density(u: dolfinx.fem.Function, edit: int) -> ufl.core.expr.Expr:
+    """Rubber with fibres that do not push; the second edit adds a term and changes the numbers."""
+    c = 3.0 + COMM.bcast(random.random())  # no cache has the forms
+    F = ufl.Identity(2) + ufl.grad(u)
+    C, J = F.T * F, ufl.det(F)
+    a = ufl.as_vector([0.8, 0.6])
+    E = ufl.dot(a, C * a) - 1
+    psi = c / 2 * (ufl.tr(C) - 2 - 2 * ufl.ln(J)) + 20.0 * ufl.ln(J) ** 2
+    psi += ufl.conditional(ufl.gt(E, 0.0), c * (ufl.exp(0.8 * E**2) - 1), 0.0)
+    return psi if edit == 1 else psi + ufl.cosh(2.0 * (ufl.tr(C) - 2)) - 1
+
+
+def recorded(monkeypatch, place, name):
+    """Return the growing list of the first arguments of a call."""
+    calls, original = [], getattr(place, name)
+    call = lambda *a, **known: calls.append(a[0]) or original(*a, **known)  # noqa: E731
+    monkeypatch.setattr(place, name, call)
+    return calls
+
+
+@pytest.mark.parametrize("given", ["residual", "energy"])
+def test_second_edit_compiles_nothing(given, monkeypatch):
+    """Each form of an edit is analysed once, and both are at equilibrium in dolfinx's residual."""
+    compiled, analysed = (
+        recorded(monkeypatch, place, name)
+        for place, name in ((cffi.FFI, "compile"), (ufl.algorithms, "compute_form_data"))
+    )
+    mesh = cube(2, 3)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    u, bc = dolfinx.fem.Function(V), dirichlet(V, left)
+    load = dolfinx.fem.Constant(mesh, (0.2, 0.3))
+    for edit in (1, 2):
+        energy = density(u, edit) * ufl.dx(degree=4) - ufl.inner(load, u) * ufl.ds
+        F = ufl.derivative(energy, u, ufl.TestFunction(V))
+        compiled.clear()
+        analysed.clear()
+        form, options = energy if given == "energy" else F, {"snes_rtol": 1e-10}
+        NonlinearProblem(form, u, bcs=[bc], subdomains=4, petsc_options=options).solve()
+        calls = COMM.allreduce(len(compiled))
+        agree(edit == 1 or calls == 0, f"{calls} calls of the C compiler")
+        kinds = [{i.integral_type() for i in form.integrals()} for form in analysed]
+        cells = sum("cell" in kind for kind in kinds)
+        agree(cells == (3 if given == "energy" else 2), kinds)
+        small(np.divide(*free_residual(F, [bc])), 1e-8)
+        agree(COMM.allreduce(len(compiled)) > calls, "a cache has the residual")
