@@ -197,12 +197,13 @@ def soft_fields(
     ``multiply(i, X)`` applies S_i to columns, (n_i, k) → (n_i, k), and ``solve`` S_ρ⁻¹.
     """
     V, δ, comm = space.V, copies.delta[:, None], copies.comm
-    c = np.random.default_rng(comm.rank).standard_normal((V.size, min(count, V.total)))
-    for step in range(INVERSE + 1):
+    e = np.random.default_rng(comm.rank).standard_normal((V.size, min(count, V.total)))
+    for step in range(INVERSE):
+        c = _each(space.solve, e, V.size)  # c = A₀⁻¹ e
         X = _each(V.prolong, c, copies.n)  # V c
         X = X @ _unit_energy(total_of(X.T @ (δ * X), comm), comm)
-        if step < INVERSE:
-            c = _each(lambda x: space.solve(V.restrict(x)), X, V.size)  # c ← A₀⁻¹ Vᵀ V c
+        if step < INVERSE - 1:
+            e = _each(V.restrict, X, V.size)  # e ← Vᵀ V c
     SX = on_subdomains(lambda: _images(copies, multiply, X), comm)
     Q = _each(copies.sum, SX, copies.n)  # Q = A V c
     Y = on_subdomains(lambda: _images(copies, solve, δ * Q), comm)

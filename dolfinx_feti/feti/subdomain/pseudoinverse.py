@@ -266,7 +266,7 @@ def _with_buckling_modes(
         needed = max(rho, -LIFT * float(lowest))
         if more.shape[1] == R.shape[1] and needed == rho:
             break
-        raised = K.factor(more, needed)
+        raised = K.factor_in_single(more, needed) or K.factor(more, needed)
         if K.is_singular(raised):  # a border that the factor cannot tell from zero
             raised.destroy()
             break
