@@ -9,7 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 import numpy.typing as npt
-from collective import dense
+from collective import dense, equal
 
 import dolfinx
 import dolfinx.fem.petsc
@@ -35,6 +35,20 @@ def scalar(form: ufl.Form, *functions: dolfinx.fem.Function) -> float:
     for function in functions:
         form = ufl.action(form, function)
     return comm.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(form)))
+
+
+def displacement(mesh: dolfinx.mesh.Mesh, degree: int) -> dolfinx.fem.Function:
+    """A small one that is no polynomial."""
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (mesh.geometry.dim,)))
+    u = dolfinx.fem.Function(V)
+    u.interpolate(lambda x: 0.1 * np.stack([np.sin(x[1]), x[0] * x[1], x[0] ** 2])[: len(u)])
+    return u
+
+
+def require_equal(form: ufl.Form, values: np.ndarray, tolerance: float) -> None:
+    """Require the values of dolfinx; on several processes it has those of others, too."""
+    if MPI.COMM_WORLD.size == 1:
+        equal(summed(form, values), assembled(form), tolerance)
 
 
 def assembled(form: ufl.Form) -> np.ndarray:

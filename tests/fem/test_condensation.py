@@ -5,22 +5,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from collective import COMM, agree, dense, equal, raises, small
+from collective import COMM, agree, equal, raises, small
 from mixed import ELEMENTS, Block, Mixed, block, by_cell, by_place, solve_assembled
 from problems import owned
-from walls import LUMEN, Wall, lumen_measure, tube, wall
 
 import dolfinx
 import ufl
 
-from dolfinx_feti import NonlinearProblem, loads
+from dolfinx_feti import NonlinearProblem
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.condensation import Condensation
 from dolfinx_feti.fem.decomposition import decompose, tear
@@ -29,20 +27,16 @@ from dolfinx_feti.problems.system import System
 
 
 @pytest.fixture
-def torn_system() -> Iterator[Callable[..., System]]:
-    """Tear a wall, without a solver."""
-    made = []
+def torn_system(lifetime) -> Callable[..., System]:
+    """Tear a block, without a solver."""
 
-    def create(body: Wall | Block, subdomains: int = 5) -> System:
+    def create(body: Block, subdomains: int = 5) -> System:
         decomposition = decompose(body.u.function_space.mesh, subdomains)
         condensed = tuple(zip(body.F_fields, body.fields, strict=True))
         forms = Forms(body.u, body.F_u, body.J, condensed, body.energy)
-        made.append(System(forms, bcs=body.bcs, decomposition=decomposition))
-        return made[-1]
+        return lifetime.own(System(forms, bcs=body.bcs, decomposition=decomposition))
 
-    yield create
-    for system in made:
-        system.destroy()
+    return create
 
 
 def step(system: System) -> tuple[np.ndarray, np.ndarray]:
@@ -82,61 +76,6 @@ def place(body: Block, values: np.ndarray) -> None:
         p.x.array[:] = part
 
 
-@pytest.mark.serial
-@pytest.mark.parametrize("element", ELEMENTS)
-def test_condensed_matrix(element, torn_system):
-    """To rounding it is K_uu − K_up K_pp⁻¹ K_pu, each block as dolfinx assembles it."""
-    body = block(COMM, element, 1e3, n=2)
-    body.deform()
-    system = torn_system(body, 3)
-    system.linearise()
-    K = [[part.toarray() for part in row] for row in Mixed(body).blocks()]
-    K_up, K_pu = np.hstack(K[0][1:]), np.vstack([row[0] for row in K[1:]])
-    K_pp = np.block([row[1:] for row in K[1:]])
-    expected = K[0][0] - K_up @ np.linalg.solve(K_pp, K_pu)
-    A = system.A.convert("aij", out=PETSc.Mat())
-    actual = dense(A)
-    A.destroy()
-    equal(actual, expected, 1e-13)
-
-
-@pytest.mark.parametrize("degree", [1, 2])
-def test_blocks_are_those_of_ufl(degree, torn_system):
-    """Rows of K_pu, K_pp and r_p, out of balance, as the derivatives that a user would write."""
-    body = wall(tube(), degree=degree)
-    body.load.value = loads.mmhg(10.0)
-    body.u.interpolate(
-        lambda x: 0.02 * np.stack([x[0] + x[1] * x[2], np.sin(2 * x[0]) - x[2], x[0] * x[1] * x[2]])
-    )
-    body.p.interpolate(lambda x: np.cos(3 * x[0]) + 0.5 * x[2])
-    system = torn_system(body)
-    here = system.residual()
-    V, Q = body.u.function_space, body.p.function_space
-    w, one = dolfinx.fem.Function(V), dolfinx.fem.Function(Q)
-    w.interpolate(lambda x: np.stack([np.cos(x[1]), x[2] * x[0], 1.0 + x[0]]))
-    one.x.array[:] = 1.0
-    forms = (body.F_p, ufl.derivative(body.F_p, body.u, w), ufl.derivative(body.F_p, body.p, one))
-    r_p, slope, K_pp = (dolfinx.fem.assemble_vector(dolfinx.fem.form(form)).array for form in forms)
-    n = Q.dofmap.index_map.size_local
-    agree(min(np.abs(a[:n]).min(initial=1.0) for a in (r_p, slope)) > 0.0)
-    for factor in (0.0, 1.0):
-        _, dp, _ = system.increment(here, factor * owned(w))
-        equal(dp[:n], -(r_p + factor * slope)[:n] / K_pp[:n], 1e-12)
-
-
-def test_pressure_obeys_its_equation():
-    """Once Newton has converged, p = κ · mean(J − 1) on each cell."""
-    body = wall(tube(), degree=1)
-    problem = body.problem(4, {"snes_rtol": 1e-12})
-    body.inflate(problem, [2.0])
-    q = ufl.TestFunction(body.p.function_space)
-    J = ufl.det(ufl.Identity(3) + ufl.grad(body.u))
-    forms = ((J - 1) * q * ufl.dx, q * ufl.dx)
-    swelling, volume = (dolfinx.fem.assemble_vector(dolfinx.fem.form(f)).array for f in forms)
-    n = len(owned(body.p))
-    equal(owned(body.p), 1000.0 * swelling[:n] / volume[:n], 1e-7)
-
-
 @pytest.mark.parametrize("element", ["p2-p0", "q2-p1d", "q2-p1d-p1d"])
 def test_pressures_solve_as_the_mixed_problem(element):
     """Newton's method with FETI arrives where that of the mixed problem does."""
@@ -171,12 +110,8 @@ def test_potential_of_a_nonlinear_dilation(torn_system):
     for form in body.F_fields:
         r = dolfinx.fem.assemble_vector(dolfinx.fem.form(form)).array
         small(np.abs(r[: len(owned(body.fields[0]))]).max(initial=0.0), 1e-12)
-    small(value / COMM.allreduce(integral(body.energy)) - 1.0, 1e-12)
-
-
-def integral(form: ufl.Form) -> float:
-    """Return the share of this process."""
-    return float(dolfinx.fem.assemble_scalar(dolfinx.fem.form(form)))
+    expected = dolfinx.fem.assemble_scalar(dolfinx.fem.form(body.energy))
+    small(value / COMM.allreduce(expected) - 1.0, 1e-12)
 
 
 @pytest.mark.parametrize("kappa", [1e-9, 1e9])
@@ -225,24 +160,3 @@ def test_pressure_that_is_no_number(torn_system):
     body = block(COMM, "q2-p1d-p1d", 10.0)
     body.fields[0].x.array[:] = np.nan
     agree(np.isnan(torn_system(body).residual().condensed).any())
-
-
-def test_energy_is_as_good_as_residuals():
-    """Π(u, p) with the load's potential gives the solution of the pair of residuals."""
-    pair, one = wall(tube()), wall(tube())
-    pair.inflate(pair.problem(4), [5.0])
-    one.load.value = loads.mmhg(5.0)
-    potential = loads.pressure_potential(
-        one.load, one.u, lumen_measure(one.u.function_space.mesh)(LUMEN)
-    )
-    problem = NonlinearProblem(
-        one.energy + potential,
-        one.u,
-        bcs=one.bcs,
-        condense=one.p,
-        subdomains=3,
-        petsc_options_prefix="energy_",
-    )
-    problem.solve()
-    equal(by_place(one.u), by_place(pair.u), 1e-7)
-    equal(by_place(one.p), by_place(pair.p), 1e-6)

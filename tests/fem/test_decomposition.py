@@ -83,13 +83,10 @@ def test_parts_are_balanced_connected_and_of_the_number_asked_for(mesh, subdomai
 
 @pytest.mark.parametrize("processes", [2, 16, 512])
 @pytest.mark.parametrize("each", [1, 2, 7])
-def test_processes_of_about_as_many_cells_have_as_many_subdomains(processes, each):
-    """Otherwise the others wait; ends that are rounded from one process to the next drift."""
+def test_shares_are_in_proportion_to_cells(processes, each):
+    """Of about as many cells, processes have as many subdomains: otherwise the others wait."""
     cells = 1000 + np.random.default_rng(SEED).integers(-60, 60, processes)
     agree(np.all(decomposition._shares(each * processes, cells) == each))
-
-
-def test_shares_are_in_proportion_to_cells():
     agree(decomposition._shares(8, np.array([300, 100, 0])).tolist() == [6, 2, 0])
     agree(decomposition._shares(7, np.array([300, 100, 3])).tolist() == [5, 2, 1])
 
@@ -140,11 +137,11 @@ def test_torn_dofs_are_pairs_of_subdomain_and_dof(mesh, family, degree, componen
     agree(copies.min() >= 1 and (family == "P" or copies.max() == 1))
 
 
-def path_graph(n):
-    a = np.arange(n - 1)
-    ones = np.ones(2 * n - 2, dtype=np.int8)
-    entries = np.concatenate([a, a + 1]), np.concatenate([a + 1, a])
-    return scipy.sparse.csr_array((ones, entries), shape=(n, n))
+def path_graph(*lengths):
+    """Paths of so many cells, not connected with each other."""
+    ones = [np.ones(n - 1, dtype=np.int8) for n in lengths]
+    paths = [scipy.sparse.diags_array([a, a], offsets=[-1, 1]) for a in ones]
+    return scipy.sparse.csr_array(scipy.sparse.block_diag(paths))
 
 
 @pytest.mark.parametrize(
@@ -158,17 +155,13 @@ def path_graph(n):
     ],
 )
 def test_splinters_join_their_neighbours(part, expected):
+    """They stay where they have none, as of two paths in one part."""
     graph = path_graph(len(part))
     joined = decomposition._join_splinters(graph, np.array(part, dtype=np.int32))
     agree(expected is None or list(joined) == expected, joined)
     agree(len(np.unique(decomposition._facet_components(graph, joined))) == len(np.unique(part)))
-
-
-def test_splinters_without_a_neighbour_stay():
-    """Two paths that nothing connects, in one part."""
-    graph = scipy.sparse.csr_array(scipy.sparse.block_diag([path_graph(3), path_graph(2)]))
-    part = np.zeros(5, dtype=np.int32)
-    equal(decomposition._join_splinters(graph, part), part)
+    alone = np.zeros(5, dtype=np.int32)
+    equal(decomposition._join_splinters(path_graph(3, 2), alone), alone)
 
 
 @pytest.mark.parametrize("subdomains", [5, 8, 17, 40])
@@ -186,23 +179,18 @@ def test_number_of_subdomains_is_as_asked(subdomains):
 
 @pytest.mark.parametrize("components", [1, 3])
 def test_suggested_number(monkeypatch, components):
-    """About so many dofs each, as many on each process, and one at least."""
+    """About so many dofs each, as many on each process, one at least, and no more than cells."""
     mesh = cube(3, 4)
     shape = () if components == 1 else (components,)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, shape))
-    dofs = components * 5**3
     agree(suggested_number(V) == COMM.size, "some hundred dofs")
     monkeypatch.setattr(decomposition, "DOFS", 20)
     number = suggested_number(V)
     agree(number % COMM.size == 0)
-    agree(abs(number - dofs / 20) <= COMM.size / 2, number)
-
-
-def test_suggested_number_is_not_that_of_more_than_all_cells(monkeypatch):
-    V = dolfinx.fem.functionspace(cube(2, 2), ("Lagrange", 2))
+    agree(abs(number - components * 5**3 / 20) <= COMM.size / 2, number)
     monkeypatch.setattr(decomposition, "DOFS", 0.1)
-    agree(suggested_number(V) == 8)
-    agree(COMM.allreduce(decompose(V.mesh, suggested_number(V)).count) == 8)
+    few = dolfinx.fem.functionspace(cube(2, 2), ("Lagrange", 2))
+    agree(suggested_number(few) == COMM.allreduce(decompose(few.mesh, 8).count) == 8)
 
 
 # -- every run
@@ -226,23 +214,18 @@ def test_two_runs_and_two_problems_of_one_run(tmp_path, processes):
 
 def test_seed_of_a_problem():
     """It takes other subdomains to the same solution; both classes hand it on."""
-    body = block(yeoh, (0.3, 0.1))
+    body, problem = block(yeoh, (0.3, 0.1)), poisson(cube(3, 6))
     nonlinear = NonlinearProblem(body.energy, body.u, body.bcs, subdomains=5, seed=2)
     expected = decompose(body.u.function_space.mesh, 5, seed=2).subdomain
     equal(nonlinear.decomposition.subdomain, expected)
-    problem = poisson(cube(3, 6))
-    solved = {
-        seed: LinearProblem(problem.a, problem.L, problem.bcs, subdomains=8, seed=seed)
-        for seed in (0, 1)
-    }
-    for seed, linear in solved.items():
-        linear.solve()
-        expected = decompose(problem.V.mesh, 8, seed=seed).subdomain
-        equal(linear.decomposition.subdomain, expected)
-    zero, one = (linear.decomposition.subdomain for linear in solved.values())
-    changed = problem.V.mesh.comm.allreduce(int(np.count_nonzero(zero != one)))
-    agree(changed > 0)
-    equal(solved[1].u.x.array, solved[0].u.x.array, 1e-6)
+    parts, solutions = [], []
+    for seed in (0, 1):
+        linear = LinearProblem(problem.a, problem.L, problem.bcs, subdomains=8, seed=seed)
+        solutions.append(linear.solve().x.array)
+        parts.append(linear.decomposition.subdomain)
+        equal(parts[seed], decompose(problem.V.mesh, 8, seed=seed).subdomain)
+    agree(COMM.allreduce(int(np.count_nonzero(parts[0] != parts[1]))) > 0)
+    equal(solutions[1], solutions[0], 1e-6)
 
 
 @pytest.mark.serial

@@ -40,7 +40,7 @@ TABLE = [
         "u": (SCALAR,), "ds": (None, DX, BALL.ds(7)), "volume": POSITIVE, "pressure": FINITE,
         "axis": ((0, 0, 0), (0, 0, NAN), (0, 1))}),
     (Windkessel, {"cavity": Cavity(U, DS), "resistance": 1.0, "compliance": 1.0}, {
-        "cavity": (U,), "resistance": POSITIVE, "compliance": POSITIVE,
+        "cavity": (U, Cavity(U, DS, volume=1.0)), "resistance": POSITIVE, "compliance": POSITIVE,
         "impedance": (-1.0, NAN, INF), "inflow": FINITE, "venous_pressure": FINITE,
         "distal_pressure": FINITE}),
     (ArcLength, {"u": U}, {

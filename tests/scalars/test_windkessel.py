@@ -6,8 +6,6 @@
 from __future__ import annotations
 
 import itertools
-import os
-import signal
 from dataclasses import replace
 
 import numpy as np
@@ -65,57 +63,20 @@ def rigid(start, **parameters):
 
 
 @pytest.mark.parametrize("impedance", [0.0, Z])
-def test_decay_behind_a_rigid_wall(impedance):
-    """P = p₀ exp(−t/RC), within 0.5 % over two time constants of 100 steps each."""
-    windkessel, problem = rigid(10.0, impedance=impedance)
-    exact = 10.0 * np.exp(-np.arange(1, 201) / 100.0)
-    pressures = march(windkessel, problem, 0.01, 200, lambda t: 0.0)
-    small(np.abs(pressures / exact - 1.0).max(), 1e-3)
-
-
-@pytest.mark.parametrize("impedance", [0.0, Z])
-def test_order_of_convergence(impedance):
-    """A constant flow fills two and three elements; half the step, a quarter of the error."""
+@pytest.mark.parametrize("flow", [0.0, 3.0])
+def test_order_of_convergence(impedance, flow):
+    """A constant flow fills vessels that empty; half the step, a quarter of the error."""
     errors = []
     for count in (10, 20, 40):
-        windkessel, problem = rigid(impedance * 3.0, impedance=impedance, distal_pressure=0.0)
-        exact = 3.0 * (R * (1.0 - np.exp(-1.0)) + impedance)
-        pressures = march(windkessel, problem, 1.0 / count, count, lambda t: 3.0)
-        errors.append(abs(pressures[-1] - exact))
+        start = 10.0 if flow == 0.0 else impedance * flow
+        distal = {} if flow == 0.0 else {"distal_pressure": 0.0}  # else that of the cavity
+        windkessel, problem = rigid(start, impedance=impedance, **distal)
+        decay = np.exp(-np.arange(1, count + 1) / count)
+        exact = (start - impedance * flow) * decay + flow * (R * (1.0 - decay) + impedance)
+        pressures = march(windkessel, problem, 1.0 / count, count, lambda t: flow)
+        errors.append(np.abs(pressures - exact)[count // 10 - 1 :: count // 10].max())
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     agree(1.7 < orders.min() and orders.max() < 2.4, (errors, orders))
-
-
-@pytest.mark.parametrize("impedance", [0.0, Z])
-def test_elastic_tube(impedance):
-    """The closed form of P over V closes the equations of a point: filled, then drained."""
-    slice_ = tube((2, 3), stiffness=1.0)
-    cavity = Cavity(slice_.u, slice_.ds(1), axis=(0.0, 0.0, 1.0))
-    windkessel = Windkessel(cavity, resistance=R, compliance=C, impedance=impedance)
-    problem = slice_.problem([windkessel], subdomains=2)
-    V_0, dt, count = tube_volume(1.0), 0.01, 50
-
-    def flow(t):
-        return 0.3 * np.sin(np.pi * t / 0.4) ** 2 if t < 0.4 else 0.0
-
-    def rates(t, y):
-        V, p_c = y
-        p, q = tube_pressure(V), flow(t)
-        if impedance:
-            Q = (p - p_c) / impedance
-            return [q - Q, (Q - p_c / R) / C]
-        slope = (tube_pressure(V + 1e-6) - tube_pressure(V - 1e-6)) / 2e-6
-        rate = (q - p / R) / (1.0 + C * slope)
-        return [rate, slope * rate]
-
-    pressures = march(windkessel, problem, dt, count, flow)
-    exact, y = [], [V_0, 0.0]
-    for n in range(count):
-        span = (n * dt, (n + 1) * dt)
-        y = solve_ivp(rates, span, y, rtol=1e-9, atol=1e-12).y[:, -1]
-        exact.append(tube_pressure(y[0]))
-    agree(max(pressures) > 0.05)
-    small(np.abs(pressures - exact).max() / max(exact), 5e-3)
 
 
 def test_thick_tube_in_plane_strain():
@@ -131,10 +92,8 @@ def test_thick_tube_in_plane_strain():
 
 
 def test_what_does_not_fit():
-    """A prescribed volume; no time step; a length and a flow that are none."""
+    """No time step; a length and a flow that are none."""
     ball = balloon(2)
-    with raises(ValueError, "prescribed volume"):
-        Windkessel(Cavity(ball.u, ball.ds(1), volume=1.0), resistance=R, compliance=C)
     windkessel = Windkessel(Cavity(ball.u, ball.ds(1)), resistance=R, compliance=C)
     problem = ball.problem([windkessel])
     with raises(ValueError, "No time step"):
@@ -184,69 +143,59 @@ def beat(dt, *, inertia=False, impedance=Z, targets=(0.1, 0.2), look=None, check
     return np.array(seen), np.array(windkessel.history.value)
 
 
-def moving_tube(impedance):
-    """Return the pressure in a tube of an incompressible material at t = 0.2, in closed form.
+def tube_at_the_end(impedance, inertia):
+    """Return pressure and volume of a tube of an incompressible material at t = 0.2, closed form.
 
     With f = a ȧ of the inner radius a, its inertia is ρ (ḟ ln(b/a) + f²/2 (b⁻² − a⁻²)).
     """
+    V_0 = tube_volume(1.0)
 
-    def mass(V):
-        a, b = np.sqrt(V / tube_volume(1.0)), np.sqrt(1.5**2 + V / tube_volume(1.0) - 1.0)
-        return DENSITY * np.log(b / a), DENSITY / 2.0 * (b**-2 - a**-2)
-
-    def rates(t, y):
+    def moving(t, y):
         V, f, p_c = y
-        Q = pulse(t) - 2.0 * tube_volume(1.0) * f
-        m, n = mass(V)
-        rest = p_c + impedance * Q - tube_pressure(V) - n * f**2
-        return [2.0 * tube_volume(1.0) * f, rest / m, (Q - p_c / R) / C]
+        a, b = np.sqrt(V / V_0), np.sqrt(1.5**2 + V / V_0 - 1.0)
+        Q = pulse(t) - 2.0 * V_0 * f
+        rest = p_c + impedance * Q - tube_pressure(V) - DENSITY / 2.0 * (b**-2 - a**-2) * f**2
+        return [2.0 * V_0 * f, rest / (DENSITY * np.log(b / a)), (Q - p_c / R) / C]
 
-    start = [tube_volume(1.0), 0.0, 0.0]
-    _, _, p_c = y = solve_ivp(rates, (0.0, 0.2), start, rtol=1e-10, atol=1e-13).y[:, -1]
-    return p_c + impedance * (pulse(0.2) - 2.0 * tube_volume(1.0) * y[1]), y[0]
+    def at_rest(t, y):
+        V, p_c = y
+        if impedance:
+            Q = (tube_pressure(V) - p_c) / impedance
+            return [pulse(t) - Q, (Q - p_c / R) / C]
+        slope = (tube_pressure(V + 1e-6) - tube_pressure(V - 1e-6)) / 2e-6
+        rate = (pulse(t) - tube_pressure(V) / R) / (1.0 + C * slope)
+        return [rate, slope * rate]
+
+    rates, start = (moving, [V_0, 0.0, 0.0]) if inertia else (at_rest, [V_0, 0.0])
+    V, *f, p_c = solve_ivp(rates, (0.0, 0.2), start, rtol=1e-10, atol=1e-13).y[:, -1]
+    p = p_c + impedance * (pulse(0.2) - 2.0 * V_0 * f[0]) if inertia else tube_pressure(V)
+    return np.array([p, V])
 
 
 @pytest.mark.serial
 @pytest.mark.parametrize("impedance", [0.0, Z])
 @pytest.mark.parametrize("inertia", [False, True])
 def test_order_on_a_path(inertia, impedance):
-    """Half the step, a quarter of the error; with inertia beside the moving tube's closed form."""
+    """Half the step, a quarter of the error; the last one is beside the closed form."""
     runs = [beat(0.2 / n, inertia=inertia, impedance=impedance, targets=[0.2])[0][:, 1:]
             for n in (10, 20, 40)]  # fmt: skip
     errors = [np.abs(coarse - fine[1::2]).max(axis=0) for coarse, fine in itertools.pairwise(runs)]
     orders = np.log2(errors[0] / errors[1])
     agree(orders.min() > 1.8 and orders.max() < 2.4, (errors, orders))
-    if inertia:
-        small(np.abs(runs[-1][-1] / np.array(moving_tube(impedance)) - 1.0).max(), 2e-3)
+    small(np.abs(runs[-1][-1] / tube_at_the_end(impedance, inertia) - 1.0).max(), 2e-3)
 
 
-def _raise(_number):
-    raise InterruptedError
-
-
-INTERRUPTS = {
-    "exception": (InterruptedError, _raise),
-    "signal": (SystemExit, lambda _number: os.kill(os.getpid(), signal.SIGTERM)),
-}
-
-
-@pytest.mark.parametrize("how", INTERRUPTS)
 @pytest.mark.parametrize("inertia", [False, True])
-def test_restart_in_the_middle_of_a_beat(tmp_path, inertia, how):
-    """The path knows Δt and keeps the Windkessel's history; a run that was killed goes on."""
-    kind, interrupt = INTERRUPTS[how]
+def test_restart_in_the_middle_of_a_beat(tmp_path, inertia):
+    """The path knows Δt and keeps the Windkessel's history; a run that was stopped goes on."""
     whole_run, history = beat(0.02, inertia=inertia)
 
     def look(number):
         if number == 5:
-            interrupt(number)
+            raise InterruptedError
 
-    caught = None
-    try:
+    with raises(InterruptedError, ""):
         beat(0.02, inertia=inertia, look=look, checkpoint=Checkpoint(tmp_path, COMM))
-    except BaseException as error:
-        caught = error
-    agree(isinstance(caught, kind), repr(caught))
     checkpoint = Checkpoint(tmp_path, COMM, restart=True)
     rest, after = beat(0.02, inertia=inertia, checkpoint=checkpoint)
     agree(len(rest) in (5, 6), len(rest))
