@@ -95,16 +95,13 @@ def test_graph_is_that_of_the_blocks(bs, full):
     agree(np.array_equal(graph.toarray() != 0, expected))
 
 
-def test_subdomains_may_be_interleaved():
+def test_subdomains_may_be_interleaved(lifetime):
     csr = ([0, 2, 4, 6, 8, 9], [0, 2, 1, 3, 0, 2, 1, 3, 4], np.arange(1.0, 10.0))
-    K = PETSc.Mat().createAIJ((5, 5), csr=csr, comm=PETSc.COMM_SELF)
-    sizes = (5, 5 * COMM.size)
-    A = create_torn_matrix(K, 5 * COMM.rank + np.arange(5), sizes, comm=COMM)
-    torn = Torn(A)
-    found = [rows.tolist() for rows in torn.subdomains]
+    K = lifetime.own(PETSc.Mat().createAIJ((5, 5), csr=csr, comm=PETSc.COMM_SELF))
+    dofs = 5 * COMM.rank + np.arange(5)
+    A = lifetime.own(create_torn_matrix(K, dofs, (5, 5 * COMM.size), comm=COMM))
+    found = [rows.tolist() for rows in lifetime.own(Torn(A)).subdomains]
     agree(found == [[0, 2], [1, 3], [4]], found)
-    for owned in (torn, A, K):
-        owned.destroy()
 
 
 def test_dirichlet_dofs_may_be_named_by_any_process(torn_grid, lifetime):
