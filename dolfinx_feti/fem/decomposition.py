@@ -28,7 +28,7 @@ from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Numbers
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.events import event
 
-#: Dofs of a subdomain where the user gives no number, measured in ``docs/results/subdomains.md``.
+#: Dofs of a subdomain where the user gives no number, measured in ``docs/how_many_subdomains.md``.
 DOFS = 2000
 
 #: Rounds in which splinters join neighbouring parts; one is nearly always enough.
@@ -37,19 +37,12 @@ ROUNDS = 5
 
 @dataclass(frozen=True, slots=True)
 class Decomposition:
-    """The subdomain of each owned cell.
+    """The subdomain of each owned cell."""
 
-    Attributes:
-        mesh: The mesh.
-        subdomain: Number of the subdomain of each owned cell, from 0 on each process, (n_cells,).
-        count: Number of subdomains of this process.
-        first: Number of the first of them in the numbering over all processes.
-    """
-
-    mesh: dolfinx.mesh.Mesh
-    subdomain: Indices
-    count: int
-    first: int
+    mesh: dolfinx.mesh.Mesh  #: The mesh.
+    subdomain: Indices  #: That of each owned cell, from 0 on each process, (n_cells,).
+    count: int  #: Number of subdomains of this process.
+    first: int  #: Number of the first of them in the numbering over all processes.
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +58,7 @@ class TornSpace:
 def suggested_number(V: dolfinx.fem.FunctionSpace, least: int = 1) -> int:
     """Suggest a number of subdomains over all processes: one for some 2000 dofs, as many on each.
 
-    Within a fifth of the best of nearly all measured bodies (``docs/results/subdomains.md``). They
+    Within a fifth of the best of nearly all measured bodies (``docs/how_many_subdomains.md``). They
     are at least ``least``, as far as there are cells.
     """
     dofs = V.dofmap.index_map.size_global * V.dofmap.index_map_bs

@@ -59,45 +59,25 @@ class Stop(Exception):  # noqa: N818
 
 @dataclass(frozen=True, slots=True)
 class NewtonStep:
-    """What one Newton step cost; what is not known is nan, or None of a number.
+    """What one Newton step cost; what is not known is nan, or None of a number."""
 
-    Attributes:
-        residual: ‖r‖ before the step.
-        step_length: α.
-        linear_method: Krylov method.
-        linear_iterations: Its iterations, those of all linear solves of the step.
-        linear_residual: ‖K ΔU + r‖/‖r‖ of the assembled system.
-        condition_number: Of the preconditioned operator.
-        negative: Negative eigenvalues of the regularised subdomains and of D (with a ``lag``).
-        indefinite: Negative eigenvalues that the true tangent has at least; None after a shift.
-        shift: σ of the tangent K + σ diag|k| that ΔU solves; zero for the true one.
-        solves: Linear solves; all but the last failed or led uphill.
-        seconds_assembly: Time for residual and tangent.
-        seconds_linear: Time for factors and Krylov method.
-        linear_rtol: Largest ``linear_residual`` that was asked for.
-        lag: Matrices since the one that the preconditioner belongs to.
-        floor: ‖r‖ that is rounding.
-        linear_floor: ``linear_residual`` that is rounding, if that has ended the linear solve.
-        tangent_lag: Steps that the tangent had served before; 0 for a new one.
-    """
-
-    residual: float
-    step_length: float
-    linear_method: str
-    linear_iterations: int
-    linear_residual: float
-    condition_number: float
-    negative: int | None
-    indefinite: int | None
-    shift: float
-    solves: int
-    seconds_assembly: float
-    seconds_linear: float
-    linear_rtol: float = math.nan
-    lag: int = 0
-    floor: float = math.nan
-    linear_floor: float = math.nan
-    tangent_lag: int = 0
+    residual: float  #: ‖r‖ before the step.
+    step_length: float  #: α.
+    linear_method: str  #: Krylov method.
+    linear_iterations: int  #: Its iterations, those of all linear solves of the step.
+    linear_residual: float  #: ‖K ΔU + r‖/‖r‖ of the assembled system.
+    condition_number: float  #: Of the preconditioned operator.
+    negative: int | None  #: Negative eigenvalues of regularised subdomains and D (with a ``lag``).
+    indefinite: int | None  #: Those that the true tangent has at least; None after a shift.
+    shift: float  #: σ of the tangent K + σ diag|k| that ΔU solves; zero for the true one.
+    solves: int  #: Linear solves; all but the last failed or led uphill.
+    seconds_assembly: float  #: Time for residual and tangent.
+    seconds_linear: float  #: Time for factors and Krylov method.
+    linear_rtol: float = math.nan  #: Largest ``linear_residual`` that was asked for.
+    lag: int = 0  #: Matrices since the one that the preconditioner belongs to.
+    floor: float = math.nan  #: ‖r‖ that is rounding.
+    linear_floor: float = math.nan  #: ``linear_residual`` at its rounding, if that ended the solve.
+    tangent_lag: int = 0  #: Steps that the tangent had served before; 0 for a new one.
 
     @classmethod
     def after(cls, feti: FETI, iterations: Sequence[int], **measured: Any) -> NewtonStep:

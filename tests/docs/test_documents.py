@@ -71,6 +71,13 @@ def test_what_a_document_names_exists(document):
     assert not missing
 
 
+def test_pages_that_the_code_names_exist():
+    sources = [path for name in FOLDERS for path in (ROOT / name).rglob("*.py")]
+    named = {page for path in sources for page in re.findall(r"docs/[\w/]+\.md", path.read_text())}
+    written = {"docs/modules.md", "docs/demos/index.md"}  # for the site
+    assert len(named) > 20 and not [page for page in named - written if not (ROOT / page).exists()]
+
+
 def test_pages_of_the_site_have_titles_of_their_own():
     """Of the texts, and of the demos, whose heading is a comment."""
     written = {ROOT / "docs/changelog.md", *(ROOT / "docs/demos").glob("*.md")}  # not by hand
