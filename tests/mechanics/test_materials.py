@@ -117,6 +117,10 @@ def test_two_dimensions_are_plane_strain():
     C2, C3 = (kin.right_cauchy_green(variable(F)) for F in (plane, solid))
     for invariant in (kin.isochoric_invariant_1, kin.isochoric_invariant_2):
         assert value(invariant(C2)) == pytest.approx(value(invariant(C3)), rel=1e-14)
+    a = np.array([0.6, 0.8, 0.0])
+    for invariant in (kin.isochoric_invariant_4, kin.isochoric_invariant_5):
+        solid = value(invariant(C3, vector(a)))
+        assert value(invariant(C2, vector(a[:2]))) == pytest.approx(solid, rel=1e-14)
 
 
 def test_cauchy_stress_by_hand():

@@ -35,7 +35,7 @@ from dolfinx_feti.workshop import (
     simple_shear,
     uniaxial,
 )
-from dolfinx_feti.workshop.report import check_law, random_states
+from dolfinx_feti.workshop.report import check_law, judge, random_states
 
 pytestmark = pytest.mark.serial
 
@@ -201,6 +201,13 @@ def test_jump_of_the_tangent(psi, jump, kappa):
     (kink,) = (c for c in found if c.name == KINK)
     assert kink.value is not None
     assert kink.value > 0.5 if jump else kink.value < 2e-4
+
+
+@pytest.mark.parametrize("warn", ["", "soft"])
+def test_nan_does_not_pass(warn):
+    F = np.eye(3)[None].repeat(2, axis=0)
+    found = judge("property", np.array([0.0, np.nan]), 1.0, F, warn=warn)
+    assert found.outcome == "fail" and found.note.startswith("no number; at F = ")
 
 
 @pytest.mark.parametrize("incompressible", [True, False])
