@@ -280,10 +280,12 @@ def assembled(
 
 def element(dim: int, components: int) -> Array:
     """Stiffness of a unit cell, whose multilinear shape functions are products over the axes."""
-    M, D, K = np.array([[2, 1], [1, 2]]) / 6, np.array([[-1, -1], [1, 1]]) / 2, [[1, -1], [-1, 1]]
+    M, K = np.array([[2, 1], [1, 2]]) / 6, np.array([[1, -1], [-1, 1]])  # ∫ φ_a φ_b, ∫ φ_a' φ_b'
+    D = np.array([[-1, -1], [1, 1]]) / 2  # ∫ φ_a' φ_b
 
     def product(i: int, j: int) -> Array:
-        factors = [[[M, D.T], [D, K]][k == i][k == j] for k in range(dim)]
+        one_axis = {(False, False): M, (True, False): D, (False, True): D.T, (True, True): K}
+        factors = [one_axis[k == i, k == j] for k in range(dim)]
         return functools.reduce(np.kron, factors, np.ones((1, 1)))
 
     G = np.array([[product(i, j) for j in range(dim)] for i in range(dim)])

@@ -35,9 +35,9 @@ def dense_solve(problem, b, B, C, D, d):
     """Solve the assembled bordered system; prescribed values are in b."""
     n, held = len(b), problem.dirichlet[:, None]
     M = np.block([[np.where(held, np.eye(n), problem.matrix), B], [C.T, D]])
-    M *= (columns := 1 / np.linalg.norm(M, axis=0))
-    rows = 1 / np.linalg.norm(M, axis=1)
-    z = columns * np.linalg.solve(rows[:, None] * M, rows * np.concatenate([b, d]))
+    columns = 1 / np.linalg.norm(M, axis=0)
+    rows = 1 / np.linalg.norm(M * columns, axis=1)
+    z = columns * np.linalg.solve(rows[:, None] * M * columns, rows * np.concatenate([b, d]))
     return z[:n], z[n:]
 
 

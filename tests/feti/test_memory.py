@@ -91,7 +91,10 @@ def test_matrix_is_its_owners_again(kind, pc_type, torn_grid):
             ksp = created(problem, feti_type=kind, feti_pc_type=pc_type)
             context = ksp.getPythonContext()
             for _ in range(min(steps, 2)):
-                ksp.setUp()
+                before = context.form
+                context.setUp(ksp)
+                agree(context.form is not before)
+                del before
                 problem.local.stateIncrease()
             if steps > 2:
                 context.destroy(ksp)

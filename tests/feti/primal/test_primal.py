@@ -166,18 +166,18 @@ def general_form(pattern, lifetime, double_products, monkeypatch):
     return create
 
 
-def least_residuals(general_form, f, *, rtol=1e-10, **how):
-    system, norms = general_form.system, []
+def least_residuals(form, f, *, rtol=1e-10, **how):
+    system, norms = form.system, []
     target = rtol * system.norm(system.copies.sum(f))
     given = {"max_it": 200, "traced": 200, **how}
     found = gmres(system, f, target=target, monitor=lambda its, norm: norms.append(norm), **given)
     return *found, norms
 
 
-def of_assembled(apply, general_form, T):
+def of_assembled(apply, form, T):
     """The dense matrix of a map of assembled vectors, given by their copies: average, map."""
-    average = T.T * whole(general_form.system.copies.delta)
-    return average @ matrix_of_map(apply, general_form.system.copies.n) @ T
+    average = T.T * whole(form.system.copies.delta)
+    return average @ matrix_of_map(apply, form.system.copies.n) @ T
 
 
 @every_type
@@ -257,7 +257,7 @@ def test_symmetric_matrix_takes_the_iterations_of_cg(torn_grid, feti, general_fo
 @pytest.mark.parametrize("skew", [True, False], ids=["skew", "indefinite"])
 @pytest.mark.parametrize("share", [0.01, 0.3, 3.0])
 def test_against_lu(share, skew, kind, torn_grid, feti):
-    """Up to matrices that are random but for a pattern; ``auto`` takes the primal general_form."""
+    """Up to matrices that are random but for a pattern; ``auto`` takes the primal form."""
     problem = torn_grid(change=unsymmetric(share, skew=skew), **WIDE)
     context = solved(feti(problem.A, feti_type=kind, ksp_rtol=1e-11), problem)
     agree(context.message == "" and context.method == "gmres", context.message)

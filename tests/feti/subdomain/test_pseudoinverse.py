@@ -135,8 +135,8 @@ def test_buckling_modes_join_the_kernel(change, kind, torn_grid, parts, monkeypa
     small(max(errors), 1e-10)
     agree(min(stabilised) > -1e-13 and COMM.allreduce(min(lowest), op=min) < -1e-3, stabilised)
     counted = COMM.allreduce(found.negative_defects)
-    if (change, kind) == (CHANGES["softening"], "all_floating"):
-        agree(counted == 12, counted)
+    exactly = (change, kind) == (CHANGES["softening"], "all_floating")
+    agree(counted == 12 if exactly else counted > 0, counted)
 
 
 def test_zero_pivot_of_buckling_modes_is_an_error(torn_grid, parts, monkeypatch):
