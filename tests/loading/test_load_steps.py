@@ -6,8 +6,10 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import re
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ from walls import tube, wall
 
 from dolfinx_feti import ConvergenceError, loads
 from dolfinx_feti.loading.load_steps import follow_load
-from dolfinx_feti.loading.steps import LoadStep, Steps
+from dolfinx_feti.loading.steps import LoadStep, Steps, load_step
 
 LAST = COMM.rank == COMM.size - 1
 
@@ -90,6 +92,8 @@ def test_increment_is_halved_until_it_succeeds(played):
     equal([a.load for a in problem.attempts[:4]], [1.0, 0.5, 0.25, 0.5], ROUNDING)
     agree([step.failures for step in steps] == [2] + 15 * [0])
     agree([len(step.lost) for step in steps] == [18] + 15 * [0])
+    read = load_step(json.loads(json.dumps(asdict(steps[0]))), LoadStep)  # as from a checkpoint
+    agree(repr(read) == repr(steps[0]))
     agree([len(step.all_steps) for step in steps] == [27] + 15 * [9])
     for attempt in problem.attempts[:3]:
         equal(attempt.linearised, (0.0, *truth(0.0)), ROUNDING)

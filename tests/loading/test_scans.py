@@ -238,13 +238,22 @@ def test_cell_inside_out_on_the_way(monkeypatch):
 @both
 @pytest.mark.processes(1, 2)
 def test_path_that_goes_on(tmp_path, prestressed):
-    """Its last part is that of one in one piece; what was found is in the checkpoint."""
+    """Its last part is that of one in one piece; what was found is in the checkpoint.
+
+    So is the user's own state. A path may begin at another load than zero.
+    """
     folder = Path(COMM.bcast(tmp_path)) / "run"
     for targets, restart in (([10.0], False), ([10.0, 20.0], True)):
         pieces = Scan(prestressed=prestressed)
-        pieces.find(*targets, checkpoint=Checkpoint(folder, COMM, restart=restart))
+        mine = dolfinx.fem.Function(pieces.p.function_space)
+        mine.x.array[:] = 0.0 if restart else 3.0
+        saved = {"checkpoint": Checkpoint(folder, COMM, restart=restart), "state": [mine]}
+        pieces.find(*targets, **saved)
+        agree(np.all(mine.x.array == 3.0))
     whole = Scan(prestressed=prestressed)
     whole.find(10.0, 20.0)
+    first = Scan(prestressed=prestressed).find(20.0, start=18.0)[0]
+    agree(first.load - first.increment == 18.0, first)
     equal(pieces.found(), whole.found(), 1e-8 if prestressed else 1e-6)
 
 
