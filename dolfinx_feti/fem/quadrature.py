@@ -41,14 +41,12 @@ def limit_quadrature_degree(form: ufl.Form, degree: int | None = None) -> ufl.Fo
         degree = 2 * max((e.embedded_superdegree or 0 for e in elements), default=1)
     if degree < 0:
         raise ValueError(f"degree = {degree}: give a quadrature degree of zero or more.")
-    return ufl.Form(
-        [
-            _with_degree(integral, degree)
-            if estimated_quadrature_degree(ufl.Form([integral])) > degree
-            else integral
-            for integral in form.integrals()
-        ]
-    )
+
+    def limited(integral: ufl.Integral) -> ufl.Integral:
+        enough = estimated_quadrature_degree(ufl.Form([integral])) <= degree
+        return integral if enough else _with_degree(integral, degree)
+
+    return ufl.Form(list(map(limited, form.integrals())))
 
 
 def estimated_quadrature_degree(form: ufl.Form) -> int:
@@ -67,14 +65,12 @@ def match_quadrature_degree(energy: ufl.Form, residual: ufl.Form) -> ufl.Form:
     known = _degrees(ufl.Form([i for i in residual.integrals() if i.integral_type() in kinds]))
 
     def matched(integral: ufl.Integral) -> ufl.Integral:
-        parts = integral.subdomain_id()
-        keys = {
-            (integral.integral_type(), p) for p in (parts if isinstance(parts, tuple) else [parts])
-        }
-        found = [known[key] for key in keys & known.keys()]
-        return (
-            integral if _states_rule(integral) or not found else _with_degree(integral, max(found))
-        )
+        kind, parts = integral.integral_type(), integral.subdomain_id()
+        parts = parts if isinstance(parts, tuple) else (parts,)
+        found = [known[kind, part] for part in parts if (kind, part) in known]
+        if _states_rule(integral) or not found:
+            return integral
+        return _with_degree(integral, max(found))
 
     return ufl.Form(list(map(matched, energy.integrals())))
 

@@ -6,7 +6,7 @@ r"""The step length α of a Newton step ΔU (docs/theory.md).
 α is one unless the trial state turns a cell inside out, meets a NaN, or overshoots:
 
 .. math:: -η ≤ g(α)/g_0 ≤ 1 + η, \qquad g(α) = ΔU_f·r_f(U + α ΔU), \qquad
-          g_0 = ΔU_f·(r_f + K_{fD}\, ΔU_D), \qquad Π(U + α ΔU) ≤ Π(U) + 10^{-4}\, α\, ΔU·r
+          g_0 = ΔU_f·(r_f + K_{fD}\, ΔU_D), \qquad Π(U + α ΔU) ≤ Π_m + 10^{-4}\, α\, ΔU·r
 
 with forces before condensation, and Armijo's rule where a potential has a say. SNES's ``cp`` and
 ``bt`` search without det F, add lengths u − g to forces, and know no Π.
@@ -65,16 +65,18 @@ def line_search(
     *,
     shifted: bool,
     height: float = np.nan,
+    highest: float = -np.inf,
     early: bool = False,
 ) -> Trial:
     """Find a step length along ΔU, (owned,), and move there; stay if none is admissible.
 
     A step that is ``shifted`` leads downhill, but the shift may have made it too short. ``height``
-    is Π where the step begins, nan if it does not matter; ``early``, whether to give up early a
-    step that overshoots, too. Collective.
+    is Π where the step begins, nan if it does not matter; ``highest``, that of the last states, if
+    it is higher; ``early``, whether to give up early a step that overshoots, too. Collective.
     """
     start = system.state()
-    move = _mover(system, residual, du, height, shifted=shifted)
+    highest = height if shifted else max(height, highest)
+    move = _mover(system, residual, du, height, highest, shifted=shifted)
     trial, overshot, trials = move(1.0), False, 1
     low, high = Trial(0.0, residual, 1.0), trial
     while not trial.accepted or (overshot and not -CLOSE <= trial.ratio <= WOLFE):
@@ -100,7 +102,7 @@ def line_search(
 
 
 def _mover(
-    system: System, residual: Residual, du: Array, height: float, *, shifted: bool
+    system: System, residual: Residual, du: Array, height: float, highest: float, *, shifted: bool
 ) -> Callable[[float], Trial]:
     """Return the function that goes to U + α ΔU and judges the state there."""
     start, step = system.state(), system.increment(residual, du)
@@ -120,10 +122,12 @@ def _mover(
             return Trial(alpha, residual)
         moved = system.residual()
         ratio = system.dot(free, moved.force) / slope if slope else 0.0  # g(α)/g_0
-        accepted, there = -ETA <= ratio <= 1.0 + ETA and not only_down, np.nan
+        bounded = -ETA <= ratio <= 1.0 + ETA
+        accepted, there = bounded and not only_down, np.nan
         if not accepted and known:
             there = system.potential()
-            accepted = (shifted or ratio >= -ETA) and there <= height + DESCENT * alpha * slope
+            most = (highest if bounded else height) + DESCENT * alpha * slope
+            accepted = (shifted or ratio >= -ETA) and there <= most
         return Trial(alpha, moved, ratio, accepted, there)
 
     return move

@@ -43,6 +43,9 @@ LEFT = 0.1
 #: Share of the reactions that counts as the load of a solve at least.
 LEAST_REACTION = 0.1
 
+#: Over so many states the highest potential has to fall.
+MEMORY = 8
+
 #: What of its first residual a rough solve leaves.
 ROUGH = 0.1
 
@@ -142,7 +145,7 @@ class Newton:
         if system.least_volume_ratio() <= 0.0:
             raise Stop("inverted")
         load, moved = float(np.fmin(first, start.reference)), system.boundary_moves(here)
-        self._height, self._level = np.nan, 0  # the last known Π, and of SHIFTS
+        self._heights, self._level = [np.nan], 0  # Π of the last states if known, and of SHIFTS
         self._patience = PATIENCE if moved else 0
         self._refuse = start.early and start.tangent is None and first > start.reference
         at_most = LEAST_REACTION * (1.0 if moved or rtol <= RTOL else RTOL / rtol)
@@ -154,9 +157,8 @@ class Newton:
             if reason != Reason.ITERATING:
                 return reason
             aim = max(rtol * scale, atol)
-            kept = (
-                not moves and norm * self._share_left(norm) <= aim
-            )  # at the end, if as good again
+            next_norm = norm * self._share_left(norm)  # if the last tangent is as good again
+            kept = not moves and next_norm <= aim
             if not kept and (self.history or start.tangent is None):
                 with event("FETITangent"):
                     system.linearise(here)
@@ -231,15 +233,13 @@ class Newton:
             assembled = time.perf_counter()
             found = next(directions)
             solved = time.perf_counter()
-            if found.plain or not system.has_potential:
-                self._height = np.nan
-            elif np.isnan(self._height):
-                self._height = system.potential()
+            heights, height = self._heights, np.nan
+            if system.has_potential and not found.plain:
+                height = system.potential() if np.isnan(heights[-1]) else heights[-1]
+            bounds = {"height": height, "highest": float(np.fmax.reduce(heights))}
             shifted, early = found.shift > 0.0, self._start.early
-            end = line_search(
-                system, seen, found.du, shifted=shifted, height=self._height, early=early
-            )
-            self._height = end.potential
+            end = line_search(system, seen, found.du, **bounds, shifted=shifted, early=early)
+            self._heights = [*heights[1 - MEMORY :], end.potential]
             step = NewtonStep.after(
                 ksp.getPythonContext(),
                 found.iterations,

@@ -88,14 +88,18 @@ class Scalar:
         return steps, solution
 
     def compare(self, subdomains: int) -> None:
-        """Solve by the residual and by the energy, each from zero."""
+        """Solve by the residual, and by the energy in no more steps, each from zero."""
         residual = ufl.derivative(self.energy, self.u, self.v)
         most, expected = self.snes(residual)
         common = {"subdomains": subdomains, "petsc_options": {"snes_max_it": 2 * most}}
+        steps = []
         for F in (residual, self.energy):
             self.u.x.array[:] = 0.0
-            NonlinearProblem(F, self.u, bcs=self.bcs, **common).solve()
+            problem = NonlinearProblem(F, self.u, bcs=self.bcs, **common)
+            problem.solve()
             equal(owned(self.u), expected, 1e-6)
+            steps.append(len(problem.history))
+        agree(steps[1] <= steps[0], steps)
 
 
 @pytest.mark.parametrize("p", [1.1, 1.5, 4.0, 10.0])
