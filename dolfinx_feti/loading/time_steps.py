@@ -4,11 +4,12 @@
 r"""Time steps: the motion of a problem with inertia, in steps that are fixed or adapted.
 
 A step that fails, or whose estimated error e is above the tolerance, is tried again from the last
-state with a shorter one. After a good one the length becomes
+state with a shorter one. After a good one of length Δt, the present length L becomes
 
-.. math:: Δt ← Δt\, \max(½, \min(g,\ 0.9\, (\mathrm{tol}/e)^{1/3})),
+.. math:: L ← \min(\max(L, g\, Δt),\ Δt\, \max(½,\ 0.9\, (\mathrm{tol}/e)^{1/3})),
 
-g being the most that it may grow by, up to the longest. The balance of energies is
+g being the most that it may grow by, up to the longest; Δt < L where a target is to be met. The
+balance of energies is
 
 .. math:: T_{n+1} - T_n + Π_{n+1} - Π_n + D = W + O(Δt^3), \qquad
           W = ½\, (f_n + f_{n+1}) · (u_{n+1} - u_n),
@@ -252,8 +253,7 @@ class _Times(Stepper):
 
     def _lengthen(self, dt: float, error: float) -> None:
         """Choose the next length."""
-        factor, most = self._steps.growth, self._steps.tolerance
+        length, most = max(self._length, self._steps.growth * dt), self._steps.tolerance
         if most is not None and error > 0.0:
-            factor = min(factor, max(SHORTEST, SAFETY * (most / error) ** (1.0 / 3.0)))
-        if factor <= 1.0 or dt >= self._length:  # else it was shortened to meet a target
-            self._length = max(min(self._steps.most, factor * dt), self._steps.least)
+            length = min(length, dt * max(SHORTEST, SAFETY * (most / error) ** (1.0 / 3.0)))
+        self._length = max(min(self._steps.most, length), self._steps.least)
