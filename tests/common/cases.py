@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import pytest
 
 every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
@@ -20,3 +22,14 @@ def case(subdomains: tuple, cells: tuple, components: int = 1, **more: object) -
 def each(names: str, table: dict[str, object]) -> pytest.MarkDecorator:
     """Parametrise a test over a table of cases by name."""
     return pytest.mark.parametrize(names, table.values(), ids=table)
+
+
+def wrong_values(table: Iterable[tuple]) -> pytest.MarkDecorator:
+    """Parametrise a test over calls, right arguments, and the wrong values of some, one by one."""
+    rows = [
+        pytest.param(call, right, name, value, id=f"{call.__name__}-{name}-{i}")
+        for call, right, columns in table
+        for name, values in columns.items()
+        for i, value in enumerate(values)
+    ]
+    return pytest.mark.parametrize(("call", "right", "name", "wrong"), rows)

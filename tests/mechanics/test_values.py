@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 import pytest
+from cases import wrong_values
 
 import ufl
 
@@ -116,15 +117,7 @@ TABLE: list[Row] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("call", "right", "name", "wrong"),
-    [
-        pytest.param(call, right, name, value, id=f"{call.__name__}-{name}-{value}")
-        for call, right, columns in TABLE
-        for name, values in columns.items()
-        for value in values
-    ],
-)
+@wrong_values(TABLE)
 def test_refused_with_its_name(call, right, name, wrong):
     with pytest.raises((ValueError, TypeError), match=rf"\b{name}\b"):
         call(**{**right, name: wrong})

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cases import wrong_values
 from collective import COMM, raises
 from inflated import balloon, balloon_cavity, tube
 from problems import cube, elasticity, poisson
@@ -53,15 +54,7 @@ TABLE = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("call", "right", "name", "wrong"),
-    [
-        pytest.param(call, right, name, value, id=f"{call.__name__}-{name}-{i}")
-        for call, right, columns in TABLE
-        for name, values in columns.items()
-        for i, value in enumerate(values)
-    ],
-)
+@wrong_values(TABLE)
 def test_refused_with_its_name(call, right, name, wrong):
     with raises(TypeError if isinstance(wrong, str) else ValueError, rf"\b{name}\b"):
         call(**{**right, name: wrong})
