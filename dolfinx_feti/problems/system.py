@@ -11,8 +11,9 @@ there is one (``condensation``); residuals meet prescribed values (eq. 7, August
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from mpi4py import MPI
 
@@ -252,16 +253,15 @@ class System:
 
         h is the size of the cells, whose displacement is rounded like the ones in F = I + Grad u.
         """
-        rounded = np.hypot(self.u.x.array[self._local], self._size)
-        return self._root(product_rounding(self._K.mat, rounded))
+        return self._root(partial(product_rounding, self._K.mat))
 
     def least_rounding(self) -> float:
         r"""Return less than it before condensation: :math:`ε \|k_{ii} (u_i^2 + h_i^2)^{1/2}\|`."""
-        rounded = np.hypot(self.u.x.array[self._local], self._size)
-        return self._root((EPS * self._stiffness * rounded) ** 2)
+        return self._root(lambda rounded: (EPS * self._stiffness * rounded) ** 2)
 
-    def _root(self, torn: Array) -> float:
-        """Return the root of the sum of squares of all free dofs, of (n_torn,)."""
+    def _root(self, squares: Callable[[Array], Array]) -> float:
+        """Return the root of the sum over free dofs of squares, made of (u² + h²)^½, (n_torn,)."""
+        torn = squares(np.hypot(self.u.x.array[self._local], self._size))
         return float(np.sqrt(self.comm.allreduce(self.free(self._assembled(torn)).sum())))
 
     def _assembled(self, torn: Array) -> Array:
