@@ -76,6 +76,20 @@ def place(body: Block, values: np.ndarray) -> None:
         p.x.array[:] = part
 
 
+@pytest.mark.serial
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_condensed_matrix(element, torn_system):
+    """To rounding it is K_uu − K_up K_pp⁻¹ K_pu, each block as dolfinx assembles it."""
+    body = block(COMM, element, 1e3, n=2)
+    body.deform()
+    system = torn_system(body, 3)
+    system.linearise()
+    n, blocks = system.owned, Mixed(body).blocks()
+    K = np.block([[part.toarray() for part in row] for row in blocks])
+    expected = K[:n, :n] - K[:n, n:] @ np.linalg.solve(K[n:, n:], K[n:, :n])
+    equal([system.multiply(e) for e in np.eye(n)], expected.T, 1e-13)
+
+
 @pytest.mark.parametrize("element", ["p2-p0", "q2-p1d", "q2-p1d-p1d"])
 def test_pressures_solve_as_the_mixed_problem(element):
     """Newton's method with FETI arrives where that of the mixed problem does."""
@@ -83,14 +97,9 @@ def test_pressures_solve_as_the_mixed_problem(element):
     for other in (body, alone):
         if len(other.fields) == 2:
             other.fields[0].x.array[:] = 1.0  # θ at rest
-    NonlinearProblem(
-        body.energy,
-        body.u,
-        bcs=body.bcs,
-        condense=body.fields,
-        subdomains=4,
-        petsc_options={"snes_rtol": 1e-12, "snes_atol": 1e-14, "ksp_rtol": 1e-10},
-    ).solve()
+    options = {"snes_rtol": 1e-12, "snes_atol": 1e-14, "ksp_rtol": 1e-10}
+    given = {"bcs": body.bcs, "condense": body.fields, "subdomains": 4, "petsc_options": options}
+    NonlinearProblem(body.energy, body.u, **given).solve()
     Mixed(alone).solve()
     equal(by_place(body.u), by_place(alone.u), 1e-9)
     for p, reference in zip(body.fields, alone.fields, strict=True):
@@ -126,14 +135,13 @@ def test_units_make_no_block_singular(kappa, torn_system):
 def test_processes_without_cells():
     """Of a single cell only one process has blocks; the others have none of the right shapes."""
     mesh = dolfinx.mesh.create_unit_cube(COMM, 1, 1, 1, cell_type=dolfinx.mesh.CellType.hexahedron)
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
-    p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DPC", 1)), name="p")
-    u = dolfinx.fem.Function(V, name="u")
+    spaces = [dolfinx.fem.functionspace(mesh, e) for e in (("Lagrange", 2, (3,)), ("DPC", 1))]
+    u, p = map(dolfinx.fem.Function, spaces)
     energy = (ufl.inner(ufl.grad(u), ufl.grad(u)) + p * ufl.div(u) - p**2 / 20) * ufl.dx
     F_u, F_p = (ufl.derivative(energy, f) for f in (u, p))
     cells = mesh.topology.index_map(3).size_local
     each = decompose(mesh, np.arange(cells))
-    space, compiler = tear(V, each), Compiler(COMM)
+    space, compiler = tear(spaces[0], each), Compiler(COMM)
     condensation = Condensation(F_u, [F_p], u, [p], space=space, compiler=compiler)
     condensation.prepare_multipliers()
     condensation.relax()
