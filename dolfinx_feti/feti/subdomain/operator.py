@@ -83,8 +83,8 @@ class Operator(ABC):
     def factor(self, i: int, R: Array, rho: float, shift: Array | None = None) -> Factor:
         """Factor the matrix that is inverted, K_i or S_i, plus ρ R Rᵀ and a shifted diagonal."""
 
-    def factor_in_single(self, i: int, R: Array, rho: float) -> Factor | None:
-        """Factor it plus ρ R Rᵀ in single precision; None where that is not done, or fails."""
+    def factor_roughly(self, i: int, R: Array, rho: float) -> Factor | None:
+        """Factor it plus ρ R Rᵀ with less work, for a preconditioner; None where that is not so."""
         return None
 
     def multiply(self, t: Array) -> Array:
@@ -240,8 +240,8 @@ class EliminatedInterior(Operator):
     def factor(self, i: int, R: Array, rho: float, shift: Array | None = None) -> Factor:
         return DenseFactor(self._S[i], R, rho, shift)
 
-    def factor_in_single(self, i: int, R: Array, rho: float) -> Factor | None:
-        return DenseFactor.in_single(self._S[i], R, rho)
+    def factor_roughly(self, i: int, R: Array, rho: float) -> Factor | None:
+        return DenseFactor.roughly(self._S[i], R, rho)
 
     def memory(self) -> float:
         return super().memory() + sum(S.memory() for S in self._S)

@@ -166,7 +166,7 @@ def create_pseudo_inverse(
 
 
 class _Block(NamedTuple):
-    """The matrix K of one subdomain, or its S, which may be factored in single precision if rough.
+    """The matrix K of one subdomain, or its S, which may be factored with less work if rough.
 
     The diagonal is its absolute one, the stiffness that of the interface dofs before a pressure is
     condensed, else zero, (n,) each.
@@ -181,12 +181,13 @@ class _Block(NamedTuple):
     def factor(self, R: Array, rho: float, shift: Array | None = None) -> Factor:
         return self.operator.factor(self.i, R, rho, shift)
 
-    def factor_in_single(self, R: Array, rho: float) -> Factor | None:
-        factor = self.operator.factor_in_single(self.i, R, rho) if self.rough else None
-        if factor is None or growth(factor, self.diagonal) * SINGLE <= ROUGH:
-            return factor
-        factor.destroy()
-        return None
+    def factor_roughly(self, R: Array, rho: float) -> Factor:
+        factor = self.operator.factor_roughly(self.i, R, rho) if self.rough else None
+        if factor is not None and _is_single(factor):
+            if not growth(factor, self.diagonal) * SINGLE <= ROUGH:  # or it is NaN
+                factor.destroy()
+                factor = None
+        return factor or self.factor(R, rho)
 
     def product(self, X: Array) -> Array:
         return self.operator.local_product(self.i, X)
@@ -234,12 +235,9 @@ def _regularise(
 
 def _with_null_vectors(K: _Block, R: Array, rho: float) -> tuple[Factor, Array]:
     """Factor K_ρ, and append to R the null vectors that it still has; return both."""
-    single = K.factor_in_single(R, rho)
-    if single is not None:
-        return single, R
     try:
-        factor = K.factor(R, rho)
-        if not K.is_singular(factor):
+        factor = K.factor_roughly(R, rho)
+        if _is_single(factor) or not K.is_singular(factor):
             return factor, R
         factor.destroy()
     except FactorError:  # a solver that stops at a zero pivot
@@ -266,7 +264,7 @@ def _with_buckling_modes(
         needed = max(rho, -LIFT * float(lowest))
         if more.shape[1] == R.shape[1] and needed == rho:
             break
-        raised = K.factor_in_single(more, needed) or K.factor(more, needed)
+        raised = K.factor_roughly(more, needed)
         if K.is_singular(raised):  # a border that the factor cannot tell from zero
             raised.destroy()
             break

@@ -107,30 +107,42 @@ class DenseFactor:
         self.pivots = Pivots(0, 0)
         if S.n == 0:
             return
-        regularised = functools.partial(_regularised, S.values, S, R, rho, shift)
-        X, failed = lapack.dpotrf(regularised(), lower=1, overwrite_a=1, clean=0)
-        if not failed:
+        X, failed = lapack.dpotrf(
+            _regularised(S.values, S, R, rho, shift), lower=1, overwrite_a=1, clean=0
+        )
+        if failed:
+            self._factor_with_pivots(_regularised(S.values, S, R, rho, shift))
+        else:
             self._X = pack(X)  # L Lᵀ
-            return
-        X, size = regularised().copy(order="F"), int(lapack.dsytrf_lwork(S.n, lower=1)[0])
+
+    def _factor_with_pivots(self, X: Array) -> None:
+        """Factor a matrix, (n, n), that need not be definite."""
+        size = int(lapack.dsytrf_lwork(len(X), lower=1)[0])
+        X = X.copy(order="F")
         X, interchanges, failed = lapack.dsytrf(X, lower=1, lwork=size, overwrite_a=1)
         if failed:
             raise FactorError("a zero pivot")
         negative = np.count_nonzero(_pivot_eigenvalues(X, interchanges) < 0.0)
-        self._X, self._interchanges = X, interchanges
+        self._X, self._interchanges = X, interchanges  # L Δ Lᵀ
         self.pivots = Pivots(int(negative), 0)
 
     @classmethod
-    def in_single(cls, S: PackedMatrix, R: Array, rho: float) -> DenseFactor | None:
-        """Factor S + ρ R Rᵀ in single precision; None if it is not positive definite, or empty."""
+    def roughly(cls, S: PackedMatrix, R: Array, rho: float) -> DenseFactor | None:
+        """Factor S + ρ R Rᵀ in single precision, or in double where it has negative eigenvalues.
+
+        None where single precision is not enough, or S is empty. A FactorError tells of a zero
+        pivot.
+        """
         if S.n == 0:
             return None
+        factor = cls(PackedMatrix(np.zeros(0), 0, S.work))
+        factor._n = S.n
         values = (S.values / rho).astype(np.float32)
         X, failed = lapack.spotrf(_regularised(values, S, R, 1.0), lower=1, overwrite_a=1, clean=0)
         if failed:
-            return None
-        factor = cls(PackedMatrix(np.zeros(0), 0, S.work))
-        factor._n, factor.single, factor._scale = S.n, True, rho
+            factor._factor_with_pivots(_regularised(S.values, S, R, rho))
+            return factor if factor.pivots.negative else None
+        factor.single, factor._scale = True, rho
         factor._X = lapack.strttp(X, uplo="L")[0]  # L Lᵀ = S/ρ + R Rᵀ
         return factor
 

@@ -51,7 +51,7 @@ def factored(lifetime):
         if kind == "dense":
             return DenseFactor(packed(K), R, rho, shift)
         if kind == "single":
-            return DenseFactor.in_single(packed(K), R, rho)
+            return DenseFactor.roughly(packed(K), R, rho)
         M = lifetime.own(block_matrix([(K, K)], bs))
         if kind == "pivots":
             return lifetime.own(PivotedFactor(M, rows, Choice("some_", True, 8), R, rho, shift))
@@ -90,10 +90,10 @@ def test_empty_singular_and_nan():
     assert factor.pivots == (0, 0) and factor.solve(np.zeros(0)).shape == (0,)
     assert factor.solve(np.zeros((0, 3))).shape == (0, 3)
     assert not factor_tells_singular(factor, np.zeros(0))
-    assert DenseFactor.in_single(empty, np.zeros((0, 0)), 1.0) is None
+    assert DenseFactor.roughly(empty, np.zeros((0, 0)), 1.0) is None
     indefinite, _, R = block(20, 1e-3)
     indefinite.values[0] = -1.0
-    assert DenseFactor.in_single(indefinite, R, RHO) is None
+    assert DenseFactor.roughly(indefinite, R, RHO).pivots == (1, 0)
     with pytest.raises(FactorError, match="a zero pivot"):
         DenseFactor(packed(np.diag([1.0, 2.0, 0.0, 3.0, 0.0])))
     with pytest.raises(FactorError, match="NaN or Inf"):
@@ -107,7 +107,7 @@ def test_inverse_up_to_rounding_in_single_precision(n, scale):
     packed, S, R = block(n, 1e-3, scale)
     before = packed.values.copy()
     rho = RHO * scale
-    factor, double = DenseFactor.in_single(packed, R, rho), DenseFactor(packed, R, rho)
+    factor, double = DenseFactor.roughly(packed, R, rho), DenseFactor(packed, R, rho)
     S_ρ = S + rho * R @ R.T
     exact = np.linalg.inv(S_ρ)
     Y = np.random.default_rng(1).standard_normal((n, 5)) / scale
@@ -146,7 +146,7 @@ def test_destroyed_factor_raises(kind, factored):
 def test_error_is_that_of_the_growth(least):
     """A solve is off by about ε times the growth of random vectors, which is found with it."""
     packed, S, R = block(60, least)
-    factor, double = DenseFactor.in_single(packed, R, RHO), DenseFactor(packed, R, RHO)
+    factor, double = DenseFactor.roughly(packed, R, RHO), DenseFactor(packed, R, RHO)
     y = np.random.default_rng(2).standard_normal(60)
     error = np.linalg.norm(factor.solve(y) - double.solve(y)) / np.linalg.norm(double.solve(y))
     stiffest = np.linalg.norm(S + RHO * R @ R.T, 2) / S.diagonal().mean()
