@@ -150,7 +150,7 @@ def _bytes_read() -> int:
 
 def _written(case: Record, comm: MPI.Comm) -> Path:
     """Return the file of a case's wall by so many processes, which is written at first."""
-    folder, name = Path(str(case["folder"])), f"{case['geometry']}_{case['size']:g}_{comm.size}"
+    folder, name = Path(str(case["folder"])), f"{case['geometry']}_{case['size']}_{comm.size}"
     path = folder / f"{name}.xdmf"
     if not comm.bcast(path.is_file()):
         wall, _ = open_wall(case["geometry"], comm, size=case["size"], folder=folder)
