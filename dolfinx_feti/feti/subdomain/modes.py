@@ -36,7 +36,6 @@ class SubdomainModes:
         kernel: Number of modes that are not elastic, the first ones of R: rigid ones, null vectors.
         null: Number of null vectors that are not rigid.
         soft: Number of soft modes, the last ones.
-        lifted: Negative eigenvalues of K_ρ that soft modes have made positive.
     """
 
     R: Array
@@ -49,7 +48,6 @@ class SubdomainModes:
     kernel: int
     null: int
     soft: int
-    lifted: int
 
     @property
     def Y(self) -> Array:

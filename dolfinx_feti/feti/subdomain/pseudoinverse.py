@@ -114,10 +114,8 @@ class PseudoInverse:
         return any(map(_is_single, self.factors))
 
     def negative(self) -> int | None:
-        """Count the negative eigenvalues of all K_ρ of this process; None if not known."""
-        negative = sum_known([factor.pivots.negative for factor in self.factors])
-        lifted = sum(modes.lifted for modes in self.modes)
-        return None if negative is None else negative - lifted
+        """Count the negative eigenvalues of all factored K_ρ of this process; None if not known."""
+        return sum_known([factor.pivots.negative for factor in self.factors])
 
     def memory(self) -> float:
         """Return the memory of the factors of this process in MiB."""
@@ -229,7 +227,6 @@ def _regularise(
         kernel=kernel.shape[1],
         null=kernel.shape[1] - rigid.shape[1],
         soft=Y.shape[1],
-        lifted=int(np.count_nonzero(np.linalg.eigvalsh(D[k:, k:]) < 0.0)),  # Haynsworth
     )
 
 
