@@ -84,7 +84,7 @@ class Operator(ABC):
         """Factor the matrix that is inverted, K_i or S_i, plus ρ R Rᵀ and a shifted diagonal."""
 
     def factor_roughly(self, i: int, R: Array, rho: float) -> Factor | None:
-        """Factor it plus ρ R Rᵀ with less work, for a preconditioner; None where that is not so."""
+        """Factor it plus ρ R Rᵀ for a preconditioner, at less cost; None where that does not do."""
         return None
 
     def multiply(self, t: Array) -> Array:

@@ -181,11 +181,12 @@ class _Block(NamedTuple):
 
     def factor_roughly(self, R: Array, rho: float) -> Factor:
         factor = self.operator.factor_roughly(self.i, R, rho) if self.rough else None
-        if factor is not None and _is_single(factor):
-            if not growth(factor, self.diagonal) * SINGLE <= ROUGH:  # or it is NaN
-                factor.destroy()
-                factor = None
-        return factor or self.factor(R, rho)
+        if factor is None:
+            return self.factor(R, rho)
+        if not _is_single(factor) or growth(factor, self.diagonal) * SINGLE <= ROUGH:
+            return factor
+        factor.destroy()
+        return self.factor(R, rho)
 
     def product(self, X: Array) -> Array:
         return self.operator.local_product(self.i, X)

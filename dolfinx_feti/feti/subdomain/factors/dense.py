@@ -107,16 +107,15 @@ class DenseFactor:
         self.pivots = Pivots(0, 0)
         if S.n == 0:
             return
-        X, failed = lapack.dpotrf(
-            _regularised(S.values, S, R, rho, shift), lower=1, overwrite_a=1, clean=0
-        )
+        regularised = functools.partial(_regularised, S.values, S, R, rho, shift)
+        X, failed = lapack.dpotrf(regularised(), lower=1, overwrite_a=1, clean=0)
         if failed:
-            self._factor_with_pivots(_regularised(S.values, S, R, rho, shift))
+            self._factor_indefinite(regularised())
         else:
             self._X = pack(X)  # L Lᵀ
 
-    def _factor_with_pivots(self, X: Array) -> None:
-        """Factor a matrix, (n, n), that need not be definite."""
+    def _factor_indefinite(self, X: Array) -> None:
+        """Factor a matrix, (n, n), that need not be definite, given by its lower triangle."""
         size = int(lapack.dsytrf_lwork(len(X), lower=1)[0])
         X = X.copy(order="F")
         X, interchanges, failed = lapack.dsytrf(X, lower=1, lwork=size, overwrite_a=1)
@@ -128,9 +127,9 @@ class DenseFactor:
 
     @classmethod
     def roughly(cls, S: PackedMatrix, R: Array, rho: float) -> DenseFactor | None:
-        """Factor S + ρ R Rᵀ in single precision, or in double where it has negative eigenvalues.
+        """Factor S + ρ R Rᵀ in single precision, or as L Δ Lᵀ where it has negative eigenvalues.
 
-        None where single precision is not enough, or S is empty. A FactorError tells of a zero
+        None if S is empty, or definite in double precision alone. A FactorError tells of a zero
         pivot.
         """
         if S.n == 0:
@@ -140,7 +139,7 @@ class DenseFactor:
         values = (S.values / rho).astype(np.float32)
         X, failed = lapack.spotrf(_regularised(values, S, R, 1.0), lower=1, overwrite_a=1, clean=0)
         if failed:
-            factor._factor_with_pivots(_regularised(S.values, S, R, rho))
+            factor._factor_indefinite(_regularised(S.values, S, R, rho))
             return factor if factor.pivots.negative else None
         factor.single, factor._scale = True, rho
         factor._X = lapack.strttp(X, uplo="L")[0]  # L Lᵀ = S/ρ + R Rᵀ
