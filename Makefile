@@ -18,6 +18,7 @@ threaded := env OMP_NUM_THREADS=$(NP) python3
 compare := -m benchmarks.compare --json build/speed.json --rounds 5
 direct := feti,mumps,cholmod,pardiso
 iterative := feti,mumps,gamg,gamg-elasticity,hypre-elasticity
+compressible := feti,feti-dual,mumps,gamg,gamg-elasticity,hypre-elasticity,bddc
 comma := ,
 # What is built, compared with dense matrices and a direct solver: K K⁺ K = K and S of a subdomain, on one process;
 # B u = b, P² = P, F, M and the primal form, on two.
@@ -25,7 +26,7 @@ identities_1 := tests/torn tests/feti/subdomain tests/feti/test_against_direct.p
 identities_2 := $(filter-out %/subdomain/ %/regularity/,$(wildcard tests/feti/[a-z]*/))
 shell_scripts := scripts/with-fenicsx scripts/debian-tree .ci/run
 
-.PHONY: help demo test sanitize figures bench bench-compare bench-linear bench-nonlinear bench-scaling bench-verification lint check docs clean
+.PHONY: help demo test sanitize figures bench bench-compare bench-compressible bench-linear bench-nonlinear bench-scaling bench-verification lint check docs clean
 
 help: ## what can be made
 	@awk -F ':.*## ' '/^[a-z-]+( build.*)?:.*## / { sub(/ build.*/, "", $$1); printf "  make %-16s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -43,9 +44,9 @@ sanitize: runtimes = $$(gcc -print-file-name=libasan.so):$$(gcc -print-file-name
 sanitize: ## the tests that call the package's C code, with AddressSanitizer and UndefinedBehaviorSanitizer
 	$(with) sh -c 'DOLFINX_FETI_CFLAGS="$(flags)" LD_PRELOAD="$(runtimes)" $(stopping) OMP_NUM_THREADS=1 \
 	  XDG_CONFIG_HOME=tests/config python3 -m pytest -q -p no:cacheprovider tests/torn tests/runtime \
-	  tests/fem/test_condensation.py tests/fem/test_cell_kernels.py tests/fem/test_assembly.py tests/feti/gluing tests/feti/subdomain $(ARGS)'
+	  tests/fem/test_condensation.py tests/fem/test_cell_kernels.py tests/fem/test_assembly.py tests/feti/interface tests/feti/subdomain $(ARGS)'
 
-bench: bench-linear bench-nonlinear bench-scaling bench-compare bench-verification ## all benchmarks; what is finished is not run again
+bench: bench-linear bench-nonlinear bench-scaling bench-compare bench-compressible bench-verification ## all benchmarks; what is finished is not run again
 
 bench-linear: ## the paper's linear study and what goes beyond it; report in build/results/
 	$(with) $(python) -m benchmarks.cube --json build/linear.json $(ARGS)
@@ -71,6 +72,14 @@ bench-compare: ## FETI and other solvers on the same matrices, time and memory; 
 	done
 	$(with) python3 -m benchmarks.compare --json build/speed.json --page build/results
 
+# Both formulations, also where the dual one takes thousands of iterations, which is why there are three rounds.
+bench-compressible: ## both formulations of FETI and other solvers on compressible bodies; 10 minutes; report in build/results/
+	for body in cube plate-20 plate-100 plate-1000 inclusions-1e4 inclusions-1e8; do \
+	  $(with) $(python) -m benchmarks.compare --json build/speed.json --rounds 3 --geometry $$body --degree 1 --dofs 30000 \
+	    --solvers $(compressible) $(ARGS) || exit; \
+	done
+	$(with) python3 -m benchmarks.compare --json build/speed.json --page build/results
+
 bench-nonlinear: ## iterations and seconds per Newton step, tube and vessel; report in build/results/
 	$(with) env OMP_NUM_THREADS=1 python3 -m benchmarks.nonlinear --json build/nonlinear.json $(ARGS)
 	$(with) python3 -m benchmarks.nonlinear --json build/nonlinear.json --page build/results
@@ -86,8 +95,10 @@ bench-verification: ## published numbers, the tube in closed form, inf-sup const
 	    --size $$size --subdomains 4 --json build/verification.json $(ARGS) || exit; \
 	done; done
 	$(with) env OMP_NUM_THREADS=1 python3 -m benchmarks.random_walls --json build/random_walls.json
+	$(with) env OMP_NUM_THREADS=1 python3 -m benchmarks.distorted_cells --json build/distorted_cells.json
 	$(with) python3 -m benchmarks.verification --json build/verification.json --page build/results
 	$(with) python3 -m benchmarks.random_walls --json build/random_walls.json --page build/results
+	$(with) python3 -m benchmarks.distorted_cells --json build/distorted_cells.json --page build/results
 
 figures: direct = --type classical --subdomains 1
 figures: files = --json build/loading.json --checkpoint build/loading

@@ -27,11 +27,13 @@ def studies() -> Iterator[tuple[str, str, str]]:
 
 
 def _took(records: list[dict[str, object]]) -> str:
-    """Say how many cases there are, and the sum of their seconds as far as they are known."""
+    """Return the number of cases, and the sum of their seconds as far as they are recorded."""
     names = ("seconds", "seconds_setup", "seconds_solve", "seconds_end_to_end", "seconds_total")
     known = (record.get(name) for record in records for name in names)
     seconds = sum(value for value in known if isinstance(value, int | float))
-    return f" ({len(records)} cases" + (f", at least {seconds / 60:.0f} min" * (seconds > 0)) + ")"
+    if seconds == 0:
+        return f" ({len(records)} cases)"
+    return f" ({len(records)} cases, at least {seconds / 60:.0f} min)"
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ under a hundredth more; or with --path P all Newton steps up to P mmHg:
     python3 -m benchmarks.compare --kappa 10,1000 --dofs 60000,184000 --json build/speed.json
     python3 -m benchmarks.compare --geometry vessel --dofs 71000 --path 10 --json build/speed.json
     python3 -m benchmarks.compare --geometry cube --degree 1 --solvers feti --per 500,1000,2000
+    python3 -m benchmarks.compare --geometry plate-100 --dofs 30000 --solvers feti,feti-dual,gamg
 
 `peak_mib` is the most memory that a solver took above the matrices, summed over the processes. Of
 --rounds, in which the solvers take turns, the record has the one with the median time. --per varies
@@ -31,15 +32,14 @@ from mpi4py import MPI
 import dolfinx_feti
 from benchmarks.common import bodies, command
 from benchmarks.common.compare import path
+from benchmarks.common.compare.geometries import GEOMETRIES, Request
 from benchmarks.common.compare.opponents import OPPONENTS
-from benchmarks.common.compare.tables import GEOMETRIES, fields, seconds
+from benchmarks.common.compare.tables import draw_compressible, fields, seconds
 from benchmarks.common.records import Record, Records, threads
 from benchmarks.common.study import Arguments, Keep, Study
-from benchmarks.common.walls.problem import create_clamped
 from dolfinx_feti import LinearProblem, NonlinearProblem, loads
 from dolfinx_feti.loading import Checkpoint
-from dolfinx_feti.output import writable_folder
-from meshes.arguments import count, positive
+from dolfinx_feti.meshes.arguments import count, positive
 
 USUAL = ("feti", "mumps", "gamg")
 
@@ -48,14 +48,10 @@ MORE = 0.01
 
 Problem = LinearProblem | NonlinearProblem
 
-#: Load of the first Newton step [mmHg]. Under a larger one the tangent of the vessel's thin wall at
-#: rest is indefinite without the tension that the pressure makes.
-FIRST_LOAD = {"tube": 1.0, "vessel": 0.01, "block": 1.0, "pillar": 1.0}
-
 
 def _options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    add("--geometry", choices=GEOMETRIES, default="tube")
+    add("--geometry", choices=tuple(GEOMETRIES), default="tube")
     add("--degree", type=int, choices=(1, 2), default=2, help="of the displacement; 2")
     add("--kappa", type=command.several(positive), default=[1000.0], help="[kPa], 1000")
     add("--dofs", type=command.several(count), default=[180_000], help="approximate number; 180000")
@@ -70,7 +66,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 
 def _solvers(args: Arguments) -> list[str]:
-    """Return the solvers that a command line asks for."""
+    """Return the solvers that a command line names, or the usual ones."""
     if args.per != [None]:
         return ["feti"]
     possible = tuple(OPPONENTS) if args.path is None else path.SOLVERS
@@ -90,7 +86,7 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
         raise ValueError("--path needs feti among the --solvers: Newton's method goes on with it")
     shared = {"geometry": args.geometry, "degree": args.degree, "processes": comm.size}
     shared |= {"threads": threads(), "path_mmhg": args.path, "loaded_mmhg": args.loaded}
-    kappas = [None] if args.geometry in ("cube", "square", "heat") else args.kappa
+    kappas = [None] if GEOMETRIES[args.geometry].is_compressible else args.kappa
     for dofs, kappa, per in product(args.dofs, kappas, args.per):
         number = args.subdomains if per is None else max(comm.size, round(dofs / per))
         case = {"kappa": kappa, "wanted_dofs": dofs, "wanted_subdomains": number}
@@ -98,13 +94,14 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
 
 
 def _done(case: Record, records: Records, args: Arguments) -> bool:
-    """Tell whether all solvers have a record."""
+    """Return True if all solvers have a record."""
     return all(records.all(case | {"solver": name}) for name in _solvers(args))
 
 
 def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
     """Run a case on its body at rest. Collective."""
-    solvers, body = _solvers(args), _create_body(case, args.folder, comm)
+    solvers = _solvers(args)
+    body = _create_body(case, args.folder, comm)
     problem = getattr(body, "problem", body)
     dofmap = problem.u.function_space.dofmap
     size: Record = {
@@ -119,8 +116,8 @@ def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
             place = args.folder / "_".join([*(str(case[n]) for n in names), f"{args.loaded:g}"])
             path.load(body, args.loaded, Checkpoint(place, comm, restart=place.exists()))
             body.load.value = loads.mmhg(args.loaded * (1.0 + MORE))
-        elif case["kappa"] is not None:
-            body.load.value = loads.mmhg(FIRST_LOAD[args.geometry])
+        elif (first_load := GEOMETRIES[args.geometry].first_load) is not None:
+            body.load.value = loads.mmhg(first_load)
         found = _median([_step(problem, solvers, comm) for _ in range(args.rounds)])
     for record in found:
         keep({"solver": record["solver"]}, size | record)
@@ -155,32 +152,36 @@ def _median(rounds: Sequence[list[Record]]) -> list[Record]:
 
 
 def _create_body(case: Record, folder: Path, comm: MPI.Comm) -> bodies.Body | LinearProblem:
-    """Build a body at rest; FETI shows its parts (``ksp_view``) where it solves once only."""
-    once = case["path_mmhg"] is None and case["loaded_mmhg"] is None and "per" not in case
-    geometry, kappa, options = str(case["geometry"]), case["kappa"], {}
-    options |= {"ksp_view": None} if once else {}
-    options |= {"ksp_rtol": 1e-8} if kappa is None else {}
-    shared = {"dofs": case["wanted_dofs"], "degree": case["degree"]}
+    """Build a body at rest; FETI prints its parts (``ksp_view``) if it solves only once."""
+    geometry = GEOMETRIES[str(case["geometry"])]
+    options: dict[str, object] = {}
+    solves_once = case["path_mmhg"] is None and case["loaded_mmhg"] is None and "per" not in case
+    if solves_once:
+        options["ksp_view"] = None
+    if geometry.is_compressible:
+        options["ksp_rtol"] = geometry.rtol
+    request = Request(
+        dofs=case["wanted_dofs"], degree=case["degree"], kappa=case["kappa"], folder=folder
+    )
     settings = {"subdomains": case["wanted_subdomains"], "petsc_options": options}
-    if kappa is None:
-        return bodies.create_linear(comm, geometry, **shared, **settings)
-    if geometry in ("block", "pillar"):
-        faces = 5 if geometry == "block" else 1
-        return bodies.create_neo_hookean(comm, faces, kappa=kappa, **shared, **settings)
-    folder = writable_folder(folder, comm)
-    return create_clamped(comm, geometry, folder=folder, kappa=kappa, **shared, **settings)
+    return geometry.create(comm, request, settings)
+
+
+def _is_known(record: Record) -> bool:
+    return {"solver", "geometry", "threads", "path_mmhg", "degree"} <= record.keys()
 
 
 STUDY = Study(
     file=__file__,
     about=__doc__,
     page="speed",
-    known=lambda r: {"solver", "geometry", "threads", "path_mmhg", "degree"} <= r.keys(),
+    known=_is_known,
     options=_options,
     cases=_cases,
     run=_run,
     done=_done,
     fields=fields,
+    draw=draw_compressible,
 )
 
 if __name__ == "__main__":

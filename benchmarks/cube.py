@@ -4,6 +4,7 @@
 """The linear study of the paper: the unit cube in 512 subdomains, in all variants.
 
     mpirun -n 2 python3 -m benchmarks.cube --sets papers,choices --json build/linear.json
+    python3 -m benchmarks.cube --sets papers --only degree=1,level=2,type=classical,pc=lumped
 
 Without --sets the cases of the whole study run: the paper's table, and what goes beyond it. If
 nothing else is said, the choices are the paper's: 8 × 8 × 8 subdomains, multiplicity scaling, Q =
@@ -13,6 +14,7 @@ surface the displacements of the fundamental solution with its source at (2, 2, 
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -117,7 +119,8 @@ def _run(key: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     tear, exact = create_problem(case, comm)
     peak = PeakMemory()
     linear = tear()
-    found, peak_mib = solve(linear), peak.mib(comm)
+    found = solve(linear)
+    peak_mib = peak.mib(comm)
     error = l2_error(linear.u, exact) if case.jump == 1.0 else None
     own = {"l2_error": error, "peak_mib": peak_mib if math.isfinite(peak_mib) else None}
     keep({}, found | own | {"processes": comm.size})
@@ -151,7 +154,11 @@ def _fields(records: Sequence[Record]) -> dict[str, object]:
     ]
     names = ("type", "level", "coarse_q", "subdomains_per_edge")
     more = sorted(of(numbers()), key=lambda r: [r[name] for name in names])
-    chosen, more = (mine * any(r not in own for r in mine) for mine in (of(choices()), more))
+    chosen = of(choices())
+    if all(r in own for r in chosen):
+        chosen = []
+    if all(r in own for r in more):
+        more = []
     return {
         "deviations": [] if math.isnan(condition) else [whole],
         "linear": list(_papers(own, 1, TYPES)),
@@ -198,7 +205,8 @@ def _papers(own: Sequence[Record], degree: int, kinds: Iterable[str]) -> Iterato
 
 def _solve(record: Record) -> dict[str, str]:
     """Return iterations and condition number, the paper's in brackets."""
-    its, condition = record["iterations"], record["condition_number"]
+    its = record["iterations"]
+    condition = record["condition_number"]
     number = FORMS["number"](condition)
     if (theirs := _papers_solve(record)) is None:
         return {"its": str(its), "kappa": number}
@@ -211,7 +219,8 @@ def _errors(records: Sequence[Record]) -> Iterator[dict[str, object]]:
     scale = error_scale(records)
     known = {(r["degree"], r["type"], r["level"]): r for r in records}
     for (degree, kind, level), record in known.items():
-        error, coarser = record["l2_error"], known.get((degree, kind, level - 1))
+        error = record["l2_error"]
+        coarser = known.get((degree, kind, level - 1))
         eoc = math.log2(coarser["l2_error"] / error) if coarser else None
         theirs = paper.L2_ERRORS.get((kind, level)) if degree == 1 else None
         ratio = scale * error / theirs if theirs else None
@@ -246,12 +255,20 @@ def error_scale(own: Sequence[Record]) -> float:
     return math.exp(sum(map(math.log, quotients)) / len(quotients)) if quotients else math.nan
 
 
+def _is_known(record: Record) -> bool:
+    return "condition_number" in record
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    command.add_choices(parser, "--sets", list(SETS))
+
+
 STUDY = Study(
     file=__file__,
     about=__doc__,
     page="linear",
-    known=lambda record: "condition_number" in record,
-    options=lambda parser: command.add_choices(parser, "--sets", list(SETS)),
+    known=_is_known,
+    options=_options,
     cases=_cases,
     run=_run,
     fields=_fields,

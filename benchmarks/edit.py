@@ -38,7 +38,7 @@ from benchmarks.common.plots import COLOURS, picture
 from benchmarks.common.records import Record
 from benchmarks.common.study import Arguments, Keep, Study
 from dolfinx_feti import NonlinearProblem, kinematics, materials
-from meshes.arguments import count
+from dolfinx_feti.meshes.arguments import count
 
 Expr = ufl.core.expr.Expr
 Solve = Callable[[], object]
@@ -76,7 +76,8 @@ def active(C: Expr, J: Expr, c: float) -> Expr:
 
 def viscous(C: Expr, J: Expr, c: float) -> Expr:
     """The first one with three branches, each with the stress that it remembers."""
-    (u,), psi = ufl.algorithms.extract_coefficients(C), hgo(C, J, c)
+    (u,) = ufl.algorithms.extract_coefficients(C)
+    psi = hgo(C, J, c)
     space = dolfinx.fem.functionspace(u.function_space.mesh, ("DG", 0, C.ufl_shape))
     past = [dolfinx.fem.Function(space) for _ in range(3)]
     return psi + sum(0.1 * i * psi + ufl.inner(Q, C) / 2 for i, Q in enumerate(past, 1))
@@ -94,7 +95,8 @@ MATERIALS = {
 def density(material: str, u: Expr, fields: Sequence[Expr]) -> Expr:
     """Return an edited energy of u and, with three fields, of p and θ."""
     F = kinematics.deformation_gradient(u)
-    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    C = kinematics.right_cauchy_green(F)
+    J = kinematics.jacobian(F)
     psi = MATERIALS[material](C, J, 3.0 + 1e-6 * random.random())
     if fields:
         p, theta = fields
@@ -103,7 +105,13 @@ def density(material: str, u: Expr, fields: Sequence[Expr]) -> Expr:
 
 
 def problem_of(material: str, given: str, mesh: dolfinx.mesh.Mesh) -> Callable[[], Solve]:
-    """Return what makes a problem of an edited energy, and that what solves it from rest."""
+    """Return a function that edits the energy, compiles its problem and returns a solve from rest.
+
+    Args:
+        material: A key of :data:`MATERIALS`.
+        given: A key of :data:`ROUTES`.
+        mesh: The block.
+    """
     three = material == "three fields"
     P2 = basix.ufl.element("Lagrange", mesh.basix_cell(), 2, shape=(3,))
     P0 = basix.ufl.element("DG", mesh.basix_cell(), 0)
@@ -116,8 +124,10 @@ def problem_of(material: str, given: str, mesh: dolfinx.mesh.Mesh) -> Callable[[
         bc = dolfinx.fem.dirichletbc(dolfinx.fem.Function(V), dofs, W.sub(0))
     else:
         bc = hold(W, None, side)
-    w, Q = dolfinx.fem.Function(W), dolfinx.fem.functionspace(mesh, P0)
-    fields = [dolfinx.fem.Function(Q) for _ in range(2 * (three and not mixed))]
+    w = dolfinx.fem.Function(W)
+    Q = dolfinx.fem.functionspace(mesh, P0)
+    condensed = 2 if three and not mixed else 0  # p and θ
+    fields = [dolfinx.fem.Function(Q) for _ in range(condensed)]
     load = dolfinx.fem.Constant(mesh, (0.005, 0.02, 0.0))
 
     def rest() -> None:
@@ -137,9 +147,14 @@ def problem_of(material: str, given: str, mesh: dolfinx.mesh.Mesh) -> Callable[[
         if given == "dolfinx":
             solve = create_newton(forms[0], w, [bc], rtol=RTOL)
         else:
-            asked = energy if given == "energy" else forms if three else forms[0]
+            if given == "energy":
+                F = energy
+            elif three:
+                F = forms
+            else:
+                F = forms[0]
             settings = {"condense": fields or None, "petsc_options": {"snes_rtol": RTOL}}
-            solve = NonlinearProblem(asked, w, bcs=[bc], **settings).solve
+            solve = NonlinearProblem(F, w, bcs=[bc], **settings).solve
 
         def solve_from_rest() -> object:
             rest()
@@ -156,7 +171,7 @@ def seconds() -> float:
 
 
 def _run(case: Record, keep: Keep, args: Arguments, _: MPI.Comm) -> None:
-    """Solve each edit, and once more; ours has had one before, for what all energies share."""
+    """Solve each edit twice; ours compiles the forms that all energies share before the first."""
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 5, 4, 8)
     prepare = problem_of(str(case["material"]), str(case["given"]), mesh)
     if case["given"] != "dolfinx":
@@ -206,7 +221,8 @@ def _fields(records: Sequence[Record]) -> Fields:
 
 def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
     """Draw the seconds of each material."""
-    rows, legend = _rows(records), {n: {"color": c, "lw": 6} for n, c in ROUTES.values()}
+    rows = _rows(records)
+    legend = {n: {"color": c, "lw": 6} for n, c in ROUTES.values()}
     with picture(folder / "edit.png", 1, 2, legend) as axes:
         titles = {"first": "an edited energy", "again": "once more"}
         for ax, (name, title) in zip(axes[0], titles.items(), strict=True):
@@ -221,11 +237,15 @@ def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
     return [{"picture": "edit.png"}]
 
 
+def _is_known(record: Record) -> bool:
+    return record.get("given") in ROUTES
+
+
 STUDY = Study(
     file=__file__,
     about=__doc__,
     page="edit",
-    known=lambda record: record.get("given") in ROUTES,
+    known=_is_known,
     options=_options,
     cases=_cases,
     run=_run,

@@ -29,19 +29,20 @@ from benchmarks.common import command
 from benchmarks.common.bodies import Body
 from benchmarks.common.pages import Fields, groups
 from benchmarks.common.plots import COLOURS, picture
-from benchmarks.common.records import Record
+from benchmarks.common.records import Record, Records
 from benchmarks.common.study import Arguments, Keep, Study
 from benchmarks.common.walls.problem import create_wall_problem, summarise, volume_ratios
 from dolfinx_feti import kinematics
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps
+from dolfinx_feti.meshes.arguments import count, positive
+from dolfinx_feti.meshes.walls import open_wall
 from dolfinx_feti.output import cell_values, writable_folder
 from dolfinx_feti.runtime.arrays import Array, Numbers
-from dolfinx_feti.runtime.collective import on_first
-from meshes.arguments import count, positive
-from meshes.walls import open_wall
+from dolfinx_feti.runtime.collective import on_root
 
 #: The points, and what tells one wall with its solver from another.
-NAMES, RUN = "ABCDE", ("geometry", "size", "degree", "subdomains", "type")
+NAMES = "ABCDE"
+RUN = ("geometry", "size", "degree", "subdomains", "type")
 
 TYPES = ("all_floating", "classical")
 
@@ -106,7 +107,7 @@ def _checkpoint(args: Arguments, case: Record, comm: MPI.Comm) -> Checkpoint | N
     if args.checkpoint is None:
         return None
     folder = args.checkpoint / f"{case['geometry']}-{case['type']}"
-    kept = on_first(lambda: (folder / "state.npz").exists(), comm)
+    kept = on_root(lambda: (folder / "state.npz").exists(), comm)
     if kept and args.again:
         raise ValueError(f"--again begins anew, but {folder} holds a run: name another folder")
     return Checkpoint(folder, comm, restart=kept)
@@ -148,7 +149,8 @@ def five_points(mesh: dolfinx.mesh.Mesh) -> list[Numbers]:
     """
     n = mesh.topology.index_map(3).size_local
     X = dolfinx.mesh.compute_midpoints(mesh, 3, np.arange(n, dtype=np.int32))
-    count, total = mesh.comm.allreduce(n), mesh.comm.allreduce(X.sum(axis=0))
+    count = mesh.comm.allreduce(n)
+    total = mesh.comm.allreduce(X.sum(axis=0))
     distance = np.linalg.norm(X - total / count, axis=1)
     points = []
     for _ in NAMES:
@@ -184,7 +186,8 @@ def _rising(steps: Sequence[Record]) -> list[Record]:
 def _summary(steps: Sequence[Record]) -> dict[str, object]:
     """Sum up a run, and give its last state."""
     every = {name: [step[name] for step in steps] for name in steps[0]}
-    mean, seconds = every["linear_iterations_mean"], every["seconds"]
+    mean = every["linear_iterations_mean"]
+    seconds = every["seconds"]
     return steps[-1] | {
         "variant": _variant(steps[0]),
         "load_steps": len(steps),
@@ -206,9 +209,11 @@ def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
     pictures = []
     for (geometry, size, degree), mine in groups(records, "geometry", "size", "degree"):
         if any(_variant(step) != DIRECT for step in mine):
-            name, mesh = str(geometry), str(geometry)
+            name = str(geometry)
+            mesh = str(geometry)
             if size is not None:  # the generator's default
-                name, mesh = f"{geometry}_{size:g}", f"{geometry}, edges of {size:g} mm"
+                name = f"{geometry}_{size:g}"
+                mesh = f"{geometry}, edges of {size:g} mm"
             file = f"loading_{name}_p{degree}.png"
             _draw_panels(folder / file, _rising(mine))
             pictures.append({"picture": file, "mesh": mesh, "degree": degree})
@@ -245,15 +250,24 @@ def _draw_panels(path: Path, records: Sequence[Record]) -> None:
             ax.set_ylim(bottom=0)
 
 
+def _is_known(record: Record) -> bool:
+    return "u_norm" in record
+
+
+def _is_done(case: Record, records: Records, args: Arguments) -> bool:
+    """Return True if a run has reached the last pressure."""
+    return bool(records.all(case | {"pressure_mmhg": args.pressure}))
+
+
 STUDY = Study(
     file=__file__,
     about=__doc__,
     page="loading",
-    known=lambda record: "u_norm" in record,
+    known=_is_known,
     options=_options,
     cases=_cases,
     run=_run,
-    done=lambda case, records, args: bool(records.all(case | {"pressure_mmhg": args.pressure})),
+    done=_is_done,
     fields=_fields,
     draw=_draw,
 )

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The paper's nonlinear study: iterations and seconds per Newton step of a first load step.
+"""Nonlinear study of the paper: iterations and seconds per Newton step of a first load step.
 
     python3 -m benchmarks.nonlinear --geometry vessel --degree 1 --json build/nonlinear.json
 
@@ -39,9 +39,9 @@ from benchmarks.common.walls.first_step import (
 )
 from benchmarks.common.walls.problem import summarise, volume_ratios
 from dolfinx_feti import ConvergenceError
+from dolfinx_feti.meshes.arguments import count, positive
+from dolfinx_feti.meshes.walls import open_wall
 from dolfinx_feti.output import writable_folder
-from meshes.arguments import count, positive
-from meshes.walls import open_wall
 
 KAPPA = (10, 100, 1000)
 
@@ -102,14 +102,16 @@ def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
     own = {"feti_type": case["type"], "feti_pc_type": case["pc"]}
     own["snes_max_it"] = NEWTON_STEPS[str(case["choices"])]
     body = first_step.create(wall, case, part, own)
-    ksp, watch = body.problem.solver.getKSP(), Stopwatch(comm)
+    ksp = body.problem.solver.getKSP()
+    watch = Stopwatch(comm)
     watch.hook(ksp)
     found: Record = {}
     try:
         first_step.load(body, case["pressure"], in_part=case["choices"] == "paper")
     except ConvergenceError as error:
         found["failure"] = str(error)
-    steps, own_clock = body.problem.history, comm.size == 1
+    steps = body.problem.history
+    own_clock = comm.size == 1
     each = watch.processor() if own_clock else watch.each()
     setup, krylov = map(float, each.sum(axis=0) / max(len(each), 1))
     its = [step.linear_iterations for step in steps]
@@ -152,7 +154,8 @@ def _named(record: Record) -> Record:
 def _newton_step(records: Sequence[Record]) -> dict[str, object]:
     """Return a Newton step on one wall, in the paper and here, with both choices."""
     first = records[0]
-    layers, degree = int(first["layers"]), int(first["degree"])
+    layers = int(first["layers"])
+    degree = int(first["degree"])
     rows = []
     for (kind, kappa, pc), mine in groups(records, "type", "kappa", "pc"):
         place = list(TYPES).index(kind), kappa, PRECONDITIONERS.index(pc)
@@ -212,11 +215,15 @@ def _contacts(records: Sequence[Record]) -> Iterator[Record]:
         yield _named(mine[0]) | {str(r["contact"]): _cells(r) for r in mine}
 
 
+def _is_known(record: Record) -> bool:
+    return record.keys() >= {"contact", "linear_iterations_per_newton", "commit"}
+
+
 STUDY = Study(
     file=__file__,
     about=__doc__,
     page="nonlinear",
-    known=lambda record: record.keys() >= {"contact", "linear_iterations_per_newton", "commit"},
+    known=_is_known,
     options=_options,
     cases=_cases,
     run=_run,

@@ -13,8 +13,9 @@ user would read.
 
 from __future__ import annotations
 
+import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,17 +29,24 @@ import ufl
 from benchmarks.common.bodies import create_solid
 from benchmarks.common.pages import Fields, section
 from benchmarks.common.records import Record
-from benchmarks.common.study import Study
+from benchmarks.common.study import Arguments, Keep, Study
 from dolfinx_feti import ConvergenceError, NonlinearProblem, loads, materials
 from dolfinx_feti.loading import LoadStep, Steps, follow_load
+from dolfinx_feti.meshes.arguments import count
+from dolfinx_feti.meshes.lumen import write_lumen
+from dolfinx_feti.meshes.vessel import create_vessel
+from dolfinx_feti.meshes.walls import grow
 from dolfinx_feti.wall import Clamp, Pressure, Spring, Wall, apply_conditions, by_layer, openings
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
-from meshes.arguments import count
-from meshes.lumen import write_lumen
-from meshes.vessel import create_vessel
-from meshes.walls import grow
 
-MMHG, KAPPA, MOST = 120.0, 1000.0, 80  # load, bulk modulus [kPa], Newton steps
+#: Pressure that a wall has to reach [mmHg]: that of an artery at systole.
+MMHG = 120.0
+
+#: Bulk modulus of all layers [kPa].
+KAPPA = 1000.0
+
+#: Newton steps within which the page counts a wall as solved in time.
+MAX_NEWTON_STEPS = 80
 
 LAYERS = ("intima", "media", "adventitia")
 
@@ -63,7 +71,8 @@ class Chance:
 def draw(seed: int) -> Chance:
     """Decide by a seed."""
     random = np.random.default_rng(seed)
-    branches, layers = int(random.integers(2, 4)), int(random.integers(1, 4))
+    branches = int(random.integers(2, 4))
+    layers = int(random.integers(1, 4))
     springs = random.random(branches) < 0.4
     return Chance(
         branches=branches,
@@ -79,15 +88,17 @@ def draw(seed: int) -> Chance:
 
 
 def inflate(seed: int, comm: MPI.Comm) -> Record:
-    """Bring a wall from rest to its pressure. Collective."""
-    chance, begun = draw(seed), time.perf_counter()
+    """Inflate a wall from rest to its pressure; return its record. Collective."""
+    chance = draw(seed)
+    begun = time.perf_counter()
     wall = _create(seed, chance, comm)
     c, k1, angles = (
         dict(zip(chance.layers, values, strict=True))
         for values in (chance.c, chance.k1, chance.angles)
     )
     parameters = {"c": by_layer(wall, c), "k1": by_layer(wall, k1), "k2": 0.8393}
-    fibres, plaque = fibre_families(wall, fibre_frame(wall), angles), _plaque(wall, seed, chance)
+    fibres = fibre_families(wall, fibre_frame(wall), angles)
+    plaque = _plaque(wall, seed, chance)
     solid = create_solid(
         wall.mesh,
         lambda C, J: plaque * materials.holzapfel_gasser_ogden(C, *fibres, **parameters, J=J),
@@ -95,8 +106,12 @@ def inflate(seed: int, comm: MPI.Comm) -> Record:
         held=[],
         pressures=("DG", 0),
     )
-    u, p, energy = solid.u, solid.p, solid.energy
-    V, v, q = u.function_space, *map(ufl.TestFunction, (u.function_space, p.function_space))
+    u = solid.u
+    p = solid.p
+    energy = solid.energy
+    V = u.function_space
+    v = ufl.TestFunction(V)
+    q = ufl.TestFunction(p.function_space)
     held = {
         name: Spring(stiffness, direction="all") if stiffness else Clamp()
         for name, stiffness in zip(openings(wall), chance.springs, strict=True)
@@ -144,7 +159,8 @@ def _create(seed: int, chance: Chance, comm: MPI.Comm) -> Wall:
     """Grow the wall on its lumen, on the first process, and distribute it."""
 
     def write(path: Path) -> None:
-        surface, random = path.with_suffix(".stl"), np.random.default_rng([seed, 1])
+        surface = path.with_suffix(".stl")
+        random = np.random.default_rng([seed, 1])
         write_lumen(surface, random, branches=chance.branches, sac=chance.sac)
         create_vessel(
             path,
@@ -161,7 +177,8 @@ def _plaque(wall: Wall, seed: int, chance: Chance) -> dolfinx.fem.Function:
     """Return how many times as stiff as its layer each cell is."""
     factor = dolfinx.fem.Function(dolfinx.fem.functionspace(wall.mesh, ("DG", 0)))
     random = np.random.default_rng([seed, 2])
-    angle, radius = random.uniform(0.0, 2 * np.pi), random.uniform(1.5, 2.5)
+    angle = random.uniform(0.0, 2 * np.pi)
+    radius = random.uniform(1.5, 2.5)
     middle = 2.5 * np.array([np.cos(angle), np.sin(angle), 0.0]) + [0.0, 0.0, 2.0]
 
     def near(x: np.ndarray) -> np.ndarray:
@@ -173,13 +190,16 @@ def _plaque(wall: Wall, seed: int, chance: Chance) -> dolfinx.fem.Function:
 
 
 def _describe(chance: Chance) -> str:
-    """Say in words what the seed has decided."""
+    """Return in words what the seed has decided."""
     words = ["bent tube" if chance.branches == 2 else "bifurcation"]
-    words += ["a sac"] if chance.sac else []
-    words += [f"{len(chance.layers)} layers" if len(chance.layers) > 1 else "1 layer"]
-    words += [f"a plaque {chance.plaque:.0f} times stiffer"] if chance.plaque > 1 else []
+    if chance.sac:
+        words.append("a sac")
+    words.append(f"{len(chance.layers)} layers" if len(chance.layers) > 1 else "1 layer")
+    if chance.plaque > 1:
+        words.append(f"a plaque {chance.plaque:.0f} times stiffer")
     on_springs = sum(k > 0 for k in chance.springs)
-    words += [f"{on_springs} of {chance.branches} openings on springs"] if on_springs else []
+    if on_springs:
+        words.append(f"{on_springs} of {chance.branches} openings on springs")
     return ", ".join(words)
 
 
@@ -190,21 +210,39 @@ def _fields(records: Sequence[Record]) -> Fields:
     return {
         "rows": rows,
         "arrived": len(rows) - len(failed),
-        "within": sum(not row["error"] and row["newton"] <= MOST for row in rows),
+        "within": sum(not row["error"] and row["newton"] <= MAX_NEWTON_STEPS for row in rows),
         "failures": section(failed),
         "mmhg": MMHG,
-        "most": MOST,
+        "most": MAX_NEWTON_STEPS,
     }
+
+
+def _is_known(record: Record) -> bool:
+    return "seed" in record and "wall" in record
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seeds", type=count, default=20, help="seeds 0, 1, …; 20")
+
+
+def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
+    for seed in range(args.seeds):
+        yield {"seed": seed, "processes": comm.size}
+
+
+def _run(case: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
+    """Inflate a wall. Collective."""
+    keep({}, inflate(int(case["seed"]), comm))
 
 
 STUDY = Study(
     file=__file__,
     about=__doc__,
     page="random_walls",
-    known=lambda record: "seed" in record and "wall" in record,
-    options=lambda parser: parser.add_argument("--seeds", type=count, default=20, help="20"),
-    cases=lambda args, comm: ({"seed": i, "processes": comm.size} for i in range(args.seeds)),
-    run=lambda case, keep, _, comm: keep({}, inflate(int(case["seed"]), comm)),
+    known=_is_known,
+    options=_options,
+    cases=_cases,
+    run=_run,
     fields=_fields,
 )
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The paper's strong scaling: one load step on more and more processes, and what they send.
+"""Strong scaling of the paper: one load step on more and more processes, and their messages.
 
     python3 -m benchmarks.scaling --geometry vessel --processes 1,2 --json build/scaling.json
 
@@ -44,7 +44,7 @@ from benchmarks.common.study import Arguments, Keep, Study
 from benchmarks.common.walls.first_step import ARTERIES, CHOICES
 from benchmarks.common.walls.first_step import TYPES as NAMES
 from dolfinx_feti import ConvergenceError
-from meshes.arguments import count
+from dolfinx_feti.meshes.arguments import count
 
 #: Variant by layers of the wall: the paper's aorta, its carotid artery.
 TYPES = {1: "all_floating", 2: "classical"}
@@ -90,7 +90,8 @@ FORESEEN = ("reading", "local", "coarse", "krylov", "rest", "fixed", "total")
 
 def _options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
-    numbers, some = command.several(count), [1, 2, 4, 8, 16, 32, 64]
+    numbers = command.several(count)
+    some = [1, 2, 4, 8, 16, 32, 64]
     command.add_mesh(parser)
     command.add_choices(parser, "--task", ("count", "measure"))
     add("--processes", type=numbers, default=[1, 2], help="to measure, 1,2")
@@ -165,11 +166,13 @@ def predict(records: Sequence[Record], dofs: int, processes: int) -> Iterator[st
     yield f"A load step of {dofs} dofs on {processes} processes, modelled [s]:"
     yield " ".join(f"{name:>8}" for name in (*FORESEEN, "eff")) + f"  (eff: against {first})"
     for series in filter(lambda s: s.model, _series(records)):
-        base, names = series.model.base, series.names
+        base = series.model.base
+        names = series.names
         there, here = (series.model.predict(P, dofs / base["dofs"]) for P in (first, processes))
         numbers = [here[part] for part in FORESEEN]
         numbers.append(efficiency(first, there["total"], processes, here["total"]))
-        its, steps = sum(base["linear_iterations_per_newton"]), base["newton_iterations"]
+        its = sum(base["linear_iterations_per_newton"])
+        steps = base["newton_iterations"]
         told = f"{names['kind']}, {names['chosen']}: {steps} Newton steps, {its} iterations"
         yield " ".join(f"{number:8.3g}" for number in numbers) + f"  {told}"
 
@@ -249,14 +252,17 @@ def _times(series: _Series) -> Iterator[dict[str, object]]:
     """Yield seconds and efficiencies of the measured cases, and what the model foresees."""
     every = [{part: r[f"seconds_{part}"] for part in SHOWN} for r in series.measured]
     for r, s in zip(series.measured, every, strict=True):
-        P, first = int(r["processes"]), series.measured[0]["processes"]
+        P = int(r["processes"])
+        first = series.measured[0]["processes"]
         foreseen = series.model.predict(P) if series.model else {}
         yield {"P": P, "s": s, "eff": _efficiencies(first, every[0], P, s), "model": foreseen}
 
 
 def _model_rows(series: _Series) -> Iterator[dict[str, object]]:
     """Yield the model's seconds and efficiencies beside the paper's, of as many dofs."""
-    begin, theirs, refined = paper.FIRST, paper.TIMES[series.layers], series.refined
+    begin = paper.FIRST
+    theirs = paper.TIMES[series.layers]
+    refined = series.refined
     first = series.model.predict(begin, refined)
     for P in (*theirs, FURTHER):
         s = series.model.predict(P, refined)
@@ -283,7 +289,8 @@ def _limits(series: _Series) -> Iterator[dict[str, object]]:
 
 def _weak(series: _Series) -> dict[str, object]:
     """Return Krylov and coarse set-up on WEAK processes, the paper's dofs on the fewest."""
-    dofs, (few, many) = series.dofs, WEAK
+    dofs = series.dofs
+    (few, many) = WEAK
     foreseen = (series.model.predict(P, series.refined * P / few) for P in WEAK)
     t = [p["krylov"] + p["coarse"] for p in foreseen]
     sizes = {"few": few, "many": many, "dofs": dofs, "dofs_many": dofs * many // few}
@@ -318,11 +325,15 @@ def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
     return [{"picture": "scaling.png"}]
 
 
+def _is_known(record: Record) -> bool:
+    return record.get("study") == "scaling"
+
+
 STUDY = Study(
     file=__file__,
     about=__doc__,
     page="scaling",
-    known=lambda record: record.get("study") == "scaling",
+    known=_is_known,
     options=_options,
     cases=_cases,
     run=_run,

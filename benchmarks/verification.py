@@ -14,21 +14,24 @@ Options with a single dash are PETSc's; those of the tube have the prefix `tube_
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from types import ModuleType
+
+from mpi4py import MPI
 
 from benchmarks.common import command
 from benchmarks.common.pages import Fields
 from benchmarks.common.records import Record, Records
-from benchmarks.common.study import Arguments, Study
+from benchmarks.common.study import Arguments, Keep, Study
 from benchmarks.common.verification import inf_sup, published, tube
 from benchmarks.common.verification.cases import CASES
 from benchmarks.common.walls.inflated_tube import ELEMENTS
 
 PARTS = {"published": published, "tube": tube, "inf-sup": inf_sup}
 
-#: The field that the records of each part have alone, and its values.
-OWN = {
+#: The field that only the records of this part have, and its values.
+FIELD_OF = {
     published: ("case", list(CASES)),
     tube: ("element", list(ELEMENTS)),
     inf_sup: ("pair", list(inf_sup.PAIRS)),
@@ -36,7 +39,8 @@ OWN = {
 
 
 def _part(record: Record) -> ModuleType | None:
-    for part, (field, values) in OWN.items():
+    """Return the part of the study that a record belongs to, or None."""
+    for part, (field, values) in FIELD_OF.items():
         if record.get(field) in values:
             return part
     return None
@@ -61,17 +65,37 @@ def _fields(records: Sequence[Record]) -> Fields:
     return fields
 
 
+def _is_known(record: Record) -> bool:
+    return _part(record) is not None
+
+
+def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
+    """Yield the cases of the parts that a command line chooses."""
+    for name in args.part:
+        yield from PARTS[name].cases(args, comm)
+
+
+def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
+    """Run a case of its part. Collective."""
+    _part(case).run(case, keep, args, comm)
+
+
+def _draw(records: Sequence[Record], folder: Path) -> Sequence[Fields]:
+    """Draw the errors of the tube."""
+    return tube.draw([record for record in records if _part(record) is tube], folder)
+
+
 STUDY = Study(
     file=__file__,
     about=__doc__,
     page="verification",
-    known=lambda record: _part(record) is not None,
+    known=_is_known,
     options=_options,
-    cases=lambda args, *rest: (case for n in args.part for case in PARTS[n].cases(args, *rest)),
-    run=lambda case, *rest: _part(case).run(case, *rest),
+    cases=_cases,
+    run=_run,
     done=_done,
     fields=_fields,
-    draw=lambda records, folder: tube.draw([r for r in records if _part(r) is tube], folder),
+    draw=_draw,
 )
 
 if __name__ == "__main__":

@@ -4,15 +4,16 @@
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
-# What a material remembers is a Function, an *internal variable*, with an update in UFL. It changes
-# when a state is accepted, by `problem.update_internal_variables()`, or by itself in `follow_load`
-# and `follow_time`. A block relaxes and softens here; a ring grows in `demo_growth.py`.
+# What a material remembers is a Function, an *internal variable*, with an update in UFL. It
+# changes when a state is accepted: by `problem.update_internal_variables()`, or by itself in
+# `follow_load` and `follow_time`. A block relaxes and softens here; `demo_growth.py` has a ring
+# that grows.
 #
 #     python3 demos/demo_memory.py
+#
+# Units: mm, kPa, s.
 
 # +
-from pathlib import Path
-
 from mpi4py import MPI
 
 import matplotlib.pyplot as plt
@@ -25,44 +26,52 @@ import ufl
 from dolfinx_feti import NonlinearProblem, kinematics, materials
 from dolfinx_feti.loading import Steps, follow_load
 from dolfinx_feti.mechanics import memory
-from dolfinx_feti.output import writable_folder
 
 comm = MPI.COMM_WORLD
-dx = ufl.dx(metadata={"quadrature_degree": 2})
-c, kappa = 3.0, 1e5  # kPa
+c = 3.0  # kPa
 # -
 
-# ## A block between planes of symmetry, stretched along x
+# ## A block that is stretched
+#
+# The unit cube slides in its three planes through the origin. The plane x = 1 is pulled.
 
 # +
 mesh = dolfinx.mesh.create_unit_cube(comm, 2, 2, 2)
 V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
 u = dolfinx.fem.Function(V, name="u")
 p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="p")
-F = kinematics.deformation_gradient(u)
-C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
-psi = materials.neo_hookean(C, c=c, J=J)
-psi_vol = materials.perturbed_lagrangian(J, p, kappa=kappa)
 pull = dolfinx.fem.Constant(mesh, 0.0)  # mm
+fixed = dolfinx.fem.Constant(mesh, 0.0)
+
+bcs = []
+for axis, place, value in [(0, 0.0, fixed), (1, 0.0, fixed), (2, 0.0, fixed), (0, 1.0, pull)]:
+
+    def on_plane(x, axis=axis, place=place):
+        return np.isclose(x[axis], place)
+
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, 2, on_plane)
+    dofs = dolfinx.fem.locate_dofs_topological(V.sub(axis), 2, facets)
+    bcs.append(dolfinx.fem.dirichletbc(value, dofs, V.sub(axis)))
+
+F = kinematics.deformation_gradient(u)
+C = kinematics.right_cauchy_green(F)
+J = kinematics.jacobian(F)
+psi = materials.neo_hookean(C, c=c, J=J)
+psi_volumetric = materials.perturbed_lagrangian(J, p, kappa=1e5)
+dx = ufl.dx(metadata={"quadrature_degree": 2})
+# -
+
+# The memory lives at the points of the quadrature.
 
 
-def plane(k: int, at: float, value: float | dolfinx.fem.Constant) -> dolfinx.fem.DirichletBC:
-    """Prescribe the displacement along axis k on the plane where its coordinate has this value."""
-    on = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[k], at))
-    dofs = dolfinx.fem.locate_dofs_topological(V.sub(k), 2, on)
-    return dolfinx.fem.dirichletbc(value, dofs, V.sub(k))
-
-
-def remembered(*shape: int) -> dolfinx.fem.Function:
+# +
+def quadrature_function(shape):
     """Return a Function of the quadrature points, zero at first."""
     element = basix.ufl.quadrature_element("tetrahedron", value_shape=shape, degree=2)
     return dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
 
 
-stretched = [*(plane(k, 0.0, 0.0) for k in range(3)), plane(0, 1.0, pull)]
-
-
-def mean(expression) -> float:
+def mean(expression):
     """Return the mean of an expression over the block of 1 mm³."""
     return comm.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(expression * dx)))
 
@@ -71,80 +80,92 @@ def mean(expression) -> float:
 
 # ## Relaxation
 #
-# A branch of Maxwell's with half of the stiffness and a relaxation time of 2 s, beside the elastic
-# material (Holzapfel 2000). Stretched at once by 20 % and held, the stress falls as
+# A Maxwell branch with half of the stiffness and a relaxation time of 2 s lies beside the elastic
+# material (Holzapfel 2000). The block is stretched at once by 20 % and held. The stress falls as
 # $1 + ½\, e^{-t/2\,\mathrm{s}}$.
 
 # +
 dt = dolfinx.fem.Constant(mesh, 1e-7)  # s
-S, Q = remembered(3, 3), remembered(3, 3)
+S = quadrature_function((3, 3))
+Q = quadrature_function((3, 3))
 branch = memory.MaxwellBranch(Q, share=0.5, time=2.0)
 psi_viscous, updates = memory.viscoelastic(psi, F, S, [branch], dt=dt)
-energy = psi_viscous + psi_vol
+energy = psi_viscous + psi_volumetric
 problem = NonlinearProblem(
-    energy * dx, u, bcs=stretched, condense=p, subdomains=4, internal_variables=updates
+    energy * dx, u, bcs=bcs, condense=p, internal_variables=updates, subdomains=4
 )
 stress = ufl.diff(energy, F)[0, 0]
 
 pull.value = 0.2
-times, forces = np.linspace(0.0, 8.0, 9), []
+times = np.linspace(0.0, 8.0, 9)
+relaxing = []
 for _ in times:
     problem.solve()
-    forces.append(mean(stress))
+    relaxing.append(mean(stress))
     problem.update_internal_variables()
     dt.value = times[1]
-relaxed = c * (1.2 - 1.2**-2) * (1.0 + 0.5 * np.exp(-times / 2.0))
-error = np.abs(forces / relaxed - 1.0).max()
+
+elastic = c * (1.2 - 1.2**-2)
+exact_relaxing = elastic * (1.0 + 0.5 * np.exp(-times / 2.0))
+error = np.abs(relaxing / exact_relaxing - 1.0).max()
 if comm.rank == 0:
-    print(f"relaxation: largest error {error:.1e}", flush=True)
+    print(f"relaxation: largest error {error:.1e}")
 assert error < 1e-3
 # -
 
 # ## Softening
 #
-# Damage by the largest energy so far (Simo 1987), up and down and up again: the way back is softer,
-# and the second way up follows it until it meets the first one.
+# The damage depends on the largest energy so far (Simo 1987). The block is stretched, released and
+# stretched again: the way back is softer, and the second way up follows it as far as the first one
+# led.
 
 # +
-m = remembered()
-psi_soft, updates = memory.damaged(psi, m, d_max=0.6, W=0.1)
-energy = psi_soft + psi_vol
+u.x.array[:] = 0.0
+p.x.array[:] = 0.0
+largest_energy = quadrature_function(())
+psi_soft, updates = memory.damaged(psi, largest_energy, d_max=0.6, W=0.1)
+energy = psi_soft + psi_volumetric
 problem = NonlinearProblem(
-    energy * dx, u, bcs=stretched, condense=p, subdomains=4, internal_variables=updates
+    energy * dx, u, bcs=bcs, condense=p, internal_variables=updates, subdomains=4
 )
-softened = ufl.diff(energy, F)[0, 0]
-u.x.array[:], p.x.array[:] = 0.0, 0.0
+stress = ufl.diff(energy, F)[0, 0]
 path = []
-follow_load(
-    problem,
-    lambda stretch: setattr(pull, "value", stretch),
-    [0.3, 0.0, 0.4],
-    Steps(first=0.1, least=0.01, growth=1.0),
-    state=[u, p],
-    unloading=True,
-    on_step=lambda step: path.append((step.load, mean(softened))),
-)
-path = np.array(path)
-λ = 1.0 + path[:, 0]
-highest = np.maximum.accumulate(c / 2 * (λ**2 + 2 / λ - 3))
-softer = (1.0 - 0.6 * (1.0 - np.exp(-highest / 0.1))) * c * (λ - λ**-2)
-error = np.abs(path[:, 1] - softer).max() / softer.max()
+
+
+def set_pull(length):
+    pull.value = length
+
+
+def record(step):
+    path.append((1.0 + step.load, mean(stress)))
+
+
+steps = Steps(first=0.1, least=0.01, growth=1.0)
+follow_load(problem, set_pull, [0.3, 0.0, 0.4], steps, unloading=True, on_step=record, unit="mm")
+
+λ, softening = np.transpose(path)
+largest = np.maximum.accumulate(c / 2 * (λ**2 + 2 / λ - 3))
+damage = 0.6 * (1.0 - np.exp(-largest / 0.1))
+exact_softening = (1.0 - damage) * c * (λ - λ**-2)
+error = np.abs(softening - exact_softening).max() / exact_softening.max()
 if comm.rank == 0:
-    print(f"softening: largest error {error:.1e}", flush=True)
+    print(f"softening: largest error {error:.1e}")
 assert error < 1e-3
 # -
 
-# ## What they remember
+# ## Compared with the closed forms
 
-# +
-folder = writable_folder(Path("output/memory"), comm)
 if comm.rank == 0:
     fig, (left, right) = plt.subplots(1, 2, figsize=(9, 3.5), layout="constrained")
-    left.plot(times, relaxed, label="closed form")
-    left.plot(times, forces, "o", label="FETI")
-    left.set(xlabel="time [s]", ylabel="stress [kPa]", title="relaxation")
-    right.plot(λ, softer, label="closed form")
-    right.plot(λ, path[:, 1], "o", label="FETI")
-    right.set(xlabel="stretch", ylabel="stress [kPa]", title="softening: up, down and up")
+    left.plot(times, exact_relaxing, label="exact")
+    left.plot(times, relaxing, "o", label="FETI")
+    left.set_xlabel("time [s]")
+    left.set_ylabel("stress [kPa]")
+    left.set_title("relaxation")
     left.legend()
-    fig.savefig(folder / "memory.png", dpi=150)
+    right.plot(λ, exact_softening, label="exact")
+    right.plot(λ, softening, "o", label="FETI")
+    right.set_xlabel("stretch")
+    right.set_ylabel("stress [kPa]")
+    right.set_title("softening: up, down and up")
+    fig.savefig("memory.png", dpi=150)

@@ -9,11 +9,9 @@
 #
 #     python3 demos/demo_thick_tube.py
 #
-# Lengths are in mm, stresses in kPa.
+# Units: mm and kPa.
 
 # +
-from pathlib import Path
-
 from mpi4py import MPI
 
 import matplotlib.pyplot as plt
@@ -25,13 +23,16 @@ import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, loads, materials
 from dolfinx_feti.loading import Steps, follow_load
-from dolfinx_feti.output import writable_folder
+from dolfinx_feti.output import pictures
 
 comm = MPI.COMM_WORLD
-INNER, OUTER, LENGTH, STIFFNESS, KAPPA = 1.0, 1.5, 0.2, 3.0, 1e4
+inner = 1.0  # radius
+outer = 1.5
+length = 0.2
+c = 3.0  # kPa
 # -
 
-# ## What is known
+# ## Closed form
 #
 # In plane strain $r^2 = R^2 + k$, with one number k for the whole tube. With the energy
 # $\frac c2 (I_1 - 3)$ the balance of the radial stress, integrated from a to b, gives
@@ -42,108 +43,136 @@ INNER, OUTER, LENGTH, STIFFNESS, KAPPA = 1.0, 1.5, 0.2, 3.0, 1e4
 
 
 # +
-def closed_form(a: float | np.ndarray) -> float | np.ndarray:
+def exact_pressure(a):
     """Return the pressure [kPa] at which the inner radius is a."""
-    k = a**2 - INNER**2
-    b = np.sqrt(OUTER**2 + k)
-    return STIFFNESS * (np.log(OUTER * a / (INNER * b)) + k / 2 * (1 / a**2 - 1 / b**2))
+    k = a**2 - inner**2
+    b = np.sqrt(outer**2 + k)
+    return c * (np.log(outer * a / (inner * b)) + k / 2 * (1 / a**2 - 1 / b**2))
 
 
 # -
 
-# ## A quarter of a slice
+# ## A quarter of a slice with curved cells
 #
-# A box is bent into a quarter of a ring, whose points slide in its planes of symmetry. Its cells
-# are hexahedra with curved edges: a node wherever a quadratic displacement has one.
+# A box of hexahedra in the coordinates radius, angle and z is bent into a quarter of a ring. The
+# geometry is quadratic like the displacement, so that the edges of the cells are curved: dolfinx
+# creates a mesh of the nodes of a quadratic space on the box.
 
 # +
-corners, kind = [(INNER, 0.0, 0.0), (OUTER, np.pi / 2, LENGTH)], dolfinx.mesh.CellType.hexahedron
-box = dolfinx.mesh.create_box(comm, corners, (3, 6, 1), cell_type=kind)
+corners = [(inner, 0.0, 0.0), (outer, np.pi / 2, length)]
+hexahedron = dolfinx.mesh.CellType.hexahedron
+box = dolfinx.mesh.create_box(comm, corners, (3, 6, 1), cell_type=hexahedron)
 quadratic = basix.ufl.element("Lagrange", "hexahedron", 2, shape=(3,))
 nodes = dolfinx.fem.functionspace(box, quadratic)
-owned, cells = nodes.dofmap.index_map.size_local, box.topology.index_map(3).size_local
-radius, angle, z = nodes.tabulate_dof_coordinates()[:owned].T
-number = nodes.dofmap.index_map.local_to_global(nodes.dofmap.list[:cells].ravel())
-x = np.column_stack((radius * np.cos(angle), radius * np.sin(angle), z))
-mesh = dolfinx.mesh.create_mesh(comm, cells=number.reshape(cells, -1), x=x, e=quadratic)
+n_nodes = nodes.dofmap.index_map.size_local
+n_cells = box.topology.index_map(3).size_local
+radius, angle, z = nodes.tabulate_dof_coordinates()[:n_nodes].T
+x = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
+cells = nodes.dofmap.index_map.local_to_global(nodes.dofmap.list[:n_cells].ravel())
+mesh = dolfinx.mesh.create_mesh(comm, cells=cells.reshape(n_cells, -1), x=x, e=quadratic)
+# -
 
+# ## Conditions
+#
+# Points slide in the planes x = 0, y = 0, z = 0 and z = length. The pressure acts on the lumen.
+
+# +
 V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
+bcs = []
+for axis, place in [(0, 0.0), (1, 0.0), (2, 0.0), (2, length)]:
 
+    def on_plane(x, axis=axis, place=place):
+        return np.isclose(x[axis], place)
 
-def slide(axis: int, at: float) -> dolfinx.fem.DirichletBC:
-    """Let points slide in a plane normal to an axis."""
-    facets = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[axis], at))
+    facets = dolfinx.mesh.locate_entities_boundary(mesh, 2, on_plane)
     dofs = dolfinx.fem.locate_dofs_topological(V.sub(axis), 2, facets)
-    return dolfinx.fem.dirichletbc(0.0, dofs, V.sub(axis))
+    bcs.append(dolfinx.fem.dirichletbc(0.0, dofs, V.sub(axis)))
 
 
-bcs = [slide(0, 0.0), slide(1, 0.0), slide(2, 0.0), slide(2, LENGTH)]
-lumen = dolfinx.mesh.locate_entities_boundary(
-    mesh, 2, lambda x: np.isclose(np.hypot(x[0], x[1]), INNER)
-)
-tags = dolfinx.mesh.meshtags(mesh, 2, np.sort(lumen), np.ones(len(lumen), dtype=np.int32))
+def at_lumen(x):
+    return np.isclose(np.hypot(x[0], x[1]), inner)
+
+
+lumen = dolfinx.mesh.locate_entities_boundary(mesh, 2, at_lumen)
+tags = dolfinx.mesh.meshtags(mesh, 2, np.sort(lumen), 1)
 ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
 # -
 
 # ## Energy and load
 #
-# The potential of the pressure is −p times the enclosed volume, here that between two planes normal
-# to the axis; with it the whole problem is one energy of u and p.
+# The pressure p inside of the rubber is linear in each cell and not continuous. The potential of
+# the pressure in the lumen is −P times the enclosed volume, here that between two planes normal to
+# the axis; with it the whole problem is one energy of u and p.
 
 # +
 u = dolfinx.fem.Function(V, name="u")
 p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DPC", 1)), name="p")
 pressure = dolfinx.fem.Constant(mesh, 0.0)
 F = kinematics.deformation_gradient(u)
-C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
-psi = materials.neo_hookean(C, c=STIFFNESS, J=J) + materials.perturbed_lagrangian(J, p, KAPPA)
+C = kinematics.right_cauchy_green(F)
+J = kinematics.jacobian(F)
+psi = materials.neo_hookean(C, c=c, J=J) + materials.perturbed_lagrangian(J, p, kappa=1e4)
 energy = psi * ufl.dx + loads.pressure_potential(pressure, u, ds, axis=(0.0, 0.0, 1.0))
 problem = NonlinearProblem(energy, u, bcs=bcs, condense=p, subdomains=4, quadrature_degree=4)
 # -
 
 # ## Inflation, in steps that adapt
+#
+# In each equilibrium the mean radius of the lumen is recorded.
 
 # +
-area = comm.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(1.0 * ds)))
 X = ufl.SpatialCoordinate(mesh)
-outward = ufl.as_vector((X[0], X[1], 0.0)) / ufl.sqrt(X[0] ** 2 + X[1] ** 2)
-moved = dolfinx.fem.form(ufl.inner(u, outward) * ds)
-path = [(INNER, 0.0)]
+outward = ufl.as_vector([X[0], X[1], 0.0]) / ufl.sqrt(X[0] ** 2 + X[1] ** 2)
+area = comm.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(1.0 * ds)))
+growth = dolfinx.fem.form(ufl.inner(u, outward) * ds)
+path = [(inner, 0.0)]
 
 
-def record(step: object) -> None:
-    """Keep pressure and inner radius."""
-    mean = comm.allreduce(dolfinx.fem.assemble_scalar(moved)) / area
-    path.append((INNER + mean, float(pressure.value)))
+def set_pressure(kpa):
+    pressure.value = kpa
+
+
+def record(step):
+    a = inner + comm.allreduce(dolfinx.fem.assemble_scalar(growth)) / area
+    path.append((a, step.load))
     if comm.rank == 0:
-        a, value = path[-1]
-        print(f"a = {a:.4f} mm   p = {value:.4f} kPa   closed form {closed_form(a):.4f} kPa")
+        print(f"a = {a:.4f} mm   p = {step.load:.4f} kPa   exact {exact_pressure(a):.4f} kPa")
 
 
-steps = follow_load(
-    problem,
-    lambda kpa: setattr(pressure, "value", kpa),
-    [float(closed_form(1.5 * INNER))],
-    Steps(first=0.2, least=0.01),
-    state=[u, p],
-    on_step=record,
-    unit="kPa",
-)
+target = float(exact_pressure(1.5 * inner))
+steps = Steps(first=0.2, least=0.01)
+follow_load(problem, set_pressure, [target], steps, on_step=record, unit="kPa")
 # -
 
-# ## Beside the closed form
+# ## Compared with the closed form
 
 # +
-folder = writable_folder(Path("output/thick_tube"), comm)
-computed = np.array(path)
-error = np.abs(computed[1:, 1] / closed_form(computed[1:, 0]) - 1.0).max()
+radii, pressures = np.transpose(path)
+error = np.abs(pressures[1:] / exact_pressure(radii[1:]) - 1).max()
 if comm.rank == 0:
-    print(f"{len(steps)} load steps; the pressure is off by at most {100 * error:.3f} %")
-    radii = np.linspace(INNER, 1.55 * INNER, 100)
+    print(f"The pressure is off by {100 * error:.3f} % at most.")
     fig, ax = plt.subplots(figsize=(6, 4))
-    ax.plot(radii, closed_form(radii), color="0.6", label="closed form")
-    ax.plot(*computed.T, "o", label="FETI, Q2–P1disc")
-    ax.set(xlabel="inner radius [mm]", ylabel="pressure [kPa]")
-    ax.legend(frameon=False)
-    fig.savefig(folder / "pressure.png", dpi=150, bbox_inches="tight")
+    fine = np.linspace(inner, 1.55 * inner, 100)
+    ax.plot(fine, exact_pressure(fine), color="0.6", label="exact")
+    ax.plot(radii, pressures, "o", label="FETI, Q2–P1disc")
+    ax.set_xlabel("inner radius [mm]")
+    ax.set_ylabel("pressure [kPa]")
+    ax.legend()
+    fig.savefig("thick_tube_curve.png", dpi=150)
 assert error < 1e-3
+# -
+
+# ## The stress in the slice
+
+sigma = kinematics.cauchy_stress(psi, F)
+pictures.draw(
+    "thick_tube.png",
+    pictures.subdomains(problem, title="4 subdomains"),
+    pictures.field(
+        kinematics.stress_magnitude(sigma),
+        "stress magnitude √(σ : σ) [kPa]",
+        displacement=u,
+        title="a/A = 1.5",
+    ),
+    viewer=(0.3, 0.4, 1.0),
+)

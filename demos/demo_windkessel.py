@@ -1,25 +1,18 @@
-# ---
-# jupyter:
-#   jupytext:
-#     text_representation:
-#       extension: .py
-#       format_name: light
-# ---
-
-# # A tube that drains into a Windkessel
+# # An artery that drains into a Windkessel
 #
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
-# The heart ejects blood into an artery, and the vessels behind it resist. The pressure follows from
-# the flow, the stiffness of the wall and a *Windkessel*. Here five beats fill an artery from rest.
+# The heart ejects blood into an artery, and the vessels behind it resist. The pressure follows
+# from the flow, the stiffness of the wall and a *Windkessel*. Here five beats fill an artery from
+# rest.
 #
 #     python3 demos/demo_windkessel.py
+#
+# Units: mm, kPa, s.
 
 # +
-from pathlib import Path
-
 from mpi4py import MPI
 
 import matplotlib.pyplot as plt
@@ -28,123 +21,144 @@ import numpy as np
 import dolfinx
 import ufl
 
-from dolfinx_feti import NonlinearProblem, kinematics, materials, supports
+from dolfinx_feti import NonlinearProblem, kinematics, materials
 from dolfinx_feti.loading import Steps, follow_load
-from dolfinx_feti.output import writable_folder
+from dolfinx_feti.meshes.walls import create_tube_wall
 from dolfinx_feti.scalars import Cavity, Windkessel
+from dolfinx_feti.wall import (
+    Dashpot,
+    Slide,
+    apply_conditions,
+    fibre_families,
+    fibre_frame,
+    surface_measure,
+)
 
 comm = MPI.COMM_WORLD
-INNER, OUTER, LENGTH = 0.71, 1.1, 0.2  # mm
-STROKE, EJECTION, BEAT, BEATS = 0.12, 0.3, 0.8, 5  # mm³, s, s
-R, C, Z = 60.0, 0.003, 3.0  # kPa s/mm³, mm³/kPa, kPa s/mm³
-VISCOSITY, DT = 2.0, 0.02  # kPa s/mm, s
+stroke = 0.12  # volume that a beat ejects [mm³]
+ejection = 0.3  # how long it does so [s]
+beat = 0.8  # s
+time_step = 0.04  # s
 # -
 
 # ## The wall
 #
-# A quarter of a slice between planes of symmetry, with two families of fibres at 29° to the
-# circumference. The tissue outside damps its motion.
+# A quarter of a slice of a tube with two layers slides in its planes of symmetry and at its ends.
+# Dashpots are the tissue around it.
 
 # +
-mesh = dolfinx.mesh.create_box(comm, [(INNER, 0.0, 0.0), (OUTER, np.pi / 2, LENGTH)], (2, 6, 1))
-radius, angle, _ = mesh.geometry.x.T.copy()
-mesh.geometry.x[:, :2] = np.column_stack((radius * np.cos(angle), radius * np.sin(angle)))
-V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
-u, last = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(V)
-p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="p")
+wall = create_tube_wall(comm, length=0.2, quarter=True, through=(1, 1), around=6, along=1)
+a1, a2 = fibre_families(wall, fibre_frame(wall))
 
+V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 2, (3,)))
+u = dolfinx.fem.Function(V, name="u")
+p = dolfinx.fem.Function(dolfinx.fem.functionspace(wall.mesh, ("DG", 0)), name="p")
+conditions = {
+    "outer": Dashpot(2.0),  # kPa s/mm
+    "opening_1": Slide(),
+    "opening_2": Slide(),
+    "symmetry_x": Slide(),
+    "symmetry_y": Slide(),
+}
+boundary = apply_conditions(wall, u, conditions)
+boundary.time_step.value = time_step
 
-def slide(k: int, at: float) -> dolfinx.fem.DirichletBC:
-    """Let points slide in a plane normal to axis k."""
-    facets = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[k], at))
-    dofs = dolfinx.fem.locate_dofs_topological(V.sub(k), 2, facets)
-    return dolfinx.fem.dirichletbc(dolfinx.fem.Constant(mesh, 0.0), dofs, V.sub(k))
-
-
-def at_radius(radius: float) -> np.ndarray:
-    """Return the facets at a radius."""
-    return dolfinx.mesh.locate_entities_boundary(
-        mesh, 2, lambda x: np.isclose(np.hypot(x[0], x[1]), radius)
-    )
-
-
-marked = [at_radius(INNER), at_radius(OUTER)]
-facets, values = np.concatenate(marked), np.repeat([1, 2], [len(part) for part in marked])
-order = np.argsort(facets)
-tags = dolfinx.mesh.meshtags(mesh, 2, facets[order], values[order].astype(np.int32))
-ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata={"quadrature_degree": 4})
-bcs = [slide(0, 0.0), slide(1, 0.0), slide(2, 0.0), slide(2, LENGTH)]
-X = ufl.SpatialCoordinate(mesh)
-r = ufl.sqrt(X[0] ** 2 + X[1] ** 2)
-around, along = ufl.as_vector([-X[1] / r, X[0] / r, 0.0]), ufl.as_vector([0.0, 0.0, 1.0])
-a1, a2 = (0.8746 * around + sine * along for sine in (0.4848, -0.4848))
 F = kinematics.deformation_gradient(u)
-strain, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
-psi = materials.holzapfel_gasser_ogden(strain, a1, a2, c=3.0, k1=2.3632, k2=0.8393, J=J)
+C = kinematics.right_cauchy_green(F)
+J = kinematics.jacobian(F)
+psi = materials.holzapfel_gasser_ogden(C, a1, a2, c=3.0, k1=2.3632, k2=0.8393, J=J)
 psi += materials.perturbed_lagrangian(J, p, kappa=1000.0)
-energy = psi * ufl.dx(metadata={"quadrature_degree": 4})
-energy += supports.dashpot_energy(VISCOSITY, u, last, DT, ds(2))
 # -
 
 # ## The Windkessel
 #
-# The ends of the cavity are open and normal to its axis. What flows in and is not stored flows on
-# through an impedance Z into a compliance C, which drains through a resistance R:
+# The inflow q that the artery does not store flows on through an impedance Z into a compliance C,
+# which drains through a resistance R:
 #
 # $$ Q = q - \dot V(u), \qquad p = p_c + Z Q, \qquad C\, \dot p_c + p_c / R = Q. $$
+#
+# V(u) is the volume of the lumen between the ends, which are normal to the axis. Its pressure p is
+# an unknown of the problem.
 
 # +
-cavity = Cavity(u, ds(1), axis=(0.0, 0.0, 1.0))
-windkessel = Windkessel(cavity, resistance=R, compliance=C, impedance=Z)
+lumen = surface_measure(wall)(wall.surfaces["lumen"])
+cavity = Cavity(u, lumen, axis=(0.0, 0.0, 1.0))
+windkessel = Windkessel(
+    cavity,
+    resistance=60.0,  # kPa s/mm³
+    compliance=0.003,  # mm³/kPa
+    impedance=3.0,  # kPa s/mm³
+)
 problem = NonlinearProblem(
-    energy, u, bcs=bcs, condense=p, quadrature_degree=4, subdomains=4, scalars=[windkessel]
+    psi * ufl.dx,
+    u,
+    boundary=boundary,
+    condense=p,
+    scalars=[windkessel],
+    subdomains=4,
+    quadrature_degree=4,
 )
 # -
 
 # ## Five beats
 #
-# `follow_load` steps in time. In each beat the heart ejects for 0.3 s, as $\sin^2$ of time.
+# `follow_load` steps in time here. In each beat the heart ejects for 0.3 s, as $\sin^2$ of time.
 
 
 # +
-def set_time(t: float) -> None:
+def set_time(t):
     """Set the flow into the artery."""
-    ejected = min(t % BEAT, EJECTION) / EJECTION
-    windkessel.inflow.value = 2.0 * STROKE / EJECTION * np.sin(np.pi * ejected) ** 2
+    share = min(t % beat, ejection) / ejection
+    windkessel.inflow.value = 2.0 * stroke / ejection * np.sin(np.pi * share) ** 2
 
 
-def record(step) -> None:
-    """Keep time, flow in, flow out, pressure and volume."""
-    values = windkessel.inflow.value, windkessel.outflow(), cavity.pressure.value
-    rows.append((step.load, *map(float, values), cavity.present_volume()))
+records = [(0.0, 0.0, 0.0, 0.0, cavity.present_volume())]
 
 
-rows = [(0.0, 0.0, 0.0, 0.0, cavity.present_volume())]
-beats = [BEAT * (n + 1) for n in range(BEATS)]
-follow_load(problem, set_time, beats, Steps(first=DT, least=DT, growth=1.0), on_step=record)
+def record(step):
+    """Record time, inflow, outflow, pressure and volume."""
+    inflow = float(windkessel.inflow.value)
+    pressure = float(cavity.pressure.value)
+    volume = cavity.present_volume()
+    records.append((step.load, inflow, windkessel.outflow(), pressure, volume))
+
+
+ends_of_beats = [beat, 2 * beat, 3 * beat, 4 * beat, 5 * beat]
+steps = Steps(first=time_step, least=time_step, growth=1.0)
+follow_load(problem, set_time, ends_of_beats, steps, on_step=record, unit="s")
 # -
 
-# ## What goes in comes out
+# ## What flows in flows out
 #
-# In the fifth beat all of the stroke leaves, and the mean pressure is R + Z times the mean flow.
-# The wall lags behind the pressure: the area of the loop is the energy that dashpots dissipate.
+# In the fifth beat the whole stroke leaves, and the mean pressure is R + Z times the mean flow.
+# The wall lags behind the pressure: the area of the loop is the energy that the dashpots
+# dissipate.
 
 # +
-t, inflow, outflow, pressure, volume = np.array(rows).T
-beat = t >= beats[-2] - DT / 2
-drained, mean = np.trapezoid(outflow[beat], t[beat]), np.trapezoid(pressure[beat], t[beat]) / BEAT
-loop = np.trapezoid(pressure[beat], volume[beat])  # ∮ p dV
-folder = writable_folder(Path("output/windkessel"), comm)
+t, inflow, outflow, pressure, volume = np.array(records).T
+is_fifth = t >= ends_of_beats[3] - time_step / 2
+drained = np.trapezoid(outflow[is_fifth], t[is_fifth])
+mean_pressure = np.trapezoid(pressure[is_fifth], t[is_fifth]) / beat
+dissipated = np.trapezoid(pressure[is_fifth], volume[is_fifth])
 if comm.rank == 0:
-    print(f"The mean pressure of the fifth beat is {mean:.1f} kPa.")
-    print(f"{100 * drained / STROKE:.1f} % of the stroke leaves. The dashpots take {loop:.2g} µJ.")
+    print(f"mean pressure of the fifth beat: {mean_pressure:.1f} kPa")
+    print(f"{100 * drained / stroke:.1f} % of the stroke leaves")
+    print(f"the dashpots dissipate {dissipated:.2g} µJ")
+
     fig, axes = plt.subplots(1, 3, figsize=(11, 3.5), layout="constrained")
-    axes[0].plot(t, inflow, t, outflow)
-    axes[0].set(xlabel="time [s]", ylabel="flow [mm³/s]")
-    axes[0].legend(["in", "out"])
+    axes[0].plot(t, inflow, label="in")
+    axes[0].plot(t, outflow, label="out")
+    axes[0].set_xlabel("time [s]")
+    axes[0].set_ylabel("flow [mm³/s]")
+    axes[0].legend()
     axes[1].plot(t, pressure)
-    axes[1].set(xlabel="time [s]", ylabel="pressure [kPa]")
-    axes[2].plot(volume, pressure, "k:", volume[beat], pressure[beat])
-    axes[2].set(xlabel="volume [mm³]", ylabel="pressure [kPa]", title="pressure–volume loop")
-    fig.savefig(folder / "loop.png", dpi=150)
-assert abs(drained / STROKE - 1.0) < 0.03 and loop > 0.0
+    axes[1].set_xlabel("time [s]")
+    axes[1].set_ylabel("pressure [kPa]")
+    axes[2].plot(volume, pressure, ":", color="grey", label="all beats")
+    axes[2].plot(volume[is_fifth], pressure[is_fifth], label="fifth beat")
+    axes[2].set_xlabel("volume [mm³]")
+    axes[2].set_ylabel("pressure [kPa]")
+    axes[2].legend()
+    fig.savefig("windkessel.png", dpi=150)
+assert abs(drained / stroke - 1.0) < 0.03
+assert dissipated > 0.0

@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Classical and all-floating FETI methods for FEniCSx.
 
-In the order of the data: errors, runtime, torn, mechanics, workshop, wall, fem, feti,
-diagnosis, scalars, problems, loading, output, comparison.
+In the order of the data: errors, text_tables, runtime, torn, mechanics, workshop, wall, meshes,
+fem, feti, diagnosis, scalars, contact, problems, loading, output, comparison.
 """
 
 try:
@@ -13,10 +13,14 @@ try:
     from petsc4py import PETSc  # noqa: F401
 
     import dolfinx  # noqa: F401
-except ImportError as error:
+except (ImportError, RuntimeError, OSError) as error:  # mpi4py: RuntimeError without an MPI library
+    import sys
+
     raise ImportError(
-        f"dolfinx_feti needs dolfinx 0.9 to 0.11 with petsc4py ({error}). Any of these will do:\n"
-        '  pip, Python >= 3.12, Linux   pip install "dolfinx_feti[wheel]"\n'
+        "dolfinx_feti needs dolfinx 0.9 to 0.11 with petsc4py, and an MPI library "
+        f"({error}). Any of these will do:\n"
+        '  pip, Python >= 3.12, Linux   pip install ".[wheel]"   in a checkout of dolfinx_feti '
+        f"(this is Python {sys.version_info.major}.{sys.version_info.minor})\n"
         "  conda                        conda install -c conda-forge fenics-dolfinx petsc4py\n"
         "  Docker                       docker run -it dolfinx/dolfinx:stable\n"
         "  Debian >= 13, Ubuntu         sudo apt install python3-dolfinx"
@@ -28,7 +32,6 @@ from dolfinx_feti.feti import FETI
 from dolfinx_feti.mechanics import kinematics, loads, materials, supports
 from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
-from dolfinx_feti.runtime.compat import repeat_partitions
 from dolfinx_feti.torn.matrix import create_torn_matrix, set_condensed, set_near_kernel
 
 __version__ = "0.1.0"
@@ -46,5 +49,3 @@ __all__ = [
     "set_near_kernel",
     "supports",
 ]
-
-repeat_partitions()

@@ -5,7 +5,17 @@
 
 from __future__ import annotations
 
-__all__ = ["ConvergenceError", "FactorError", "SetUpError", "SingularBlockError", "SingularError"]
+__all__ = [
+    "ConvergenceError",
+    "FactorError",
+    "InadmissibleStartError",
+    "IndefiniteTangentError",
+    "LinearSolverError",
+    "SetUpError",
+    "SingularBlockError",
+    "SingularError",
+    "ToolCrossedError",
+]
 
 
 class FactorError(ArithmeticError):
@@ -26,3 +36,22 @@ class SingularError(SetUpError):
 
 class ConvergenceError(RuntimeError):
     """A solver did not converge; the message names the cause and the remedy."""
+
+
+class InadmissibleStartError(ConvergenceError):
+    """A solve cannot begin in this state, but may from another one.
+
+    A cell is inside out, or the tangent of a predicted state is indefinite.
+    """
+
+
+class IndefiniteTangentError(ConvergenceError):
+    """The tangent is singular or indefinite, and no shift helps."""
+
+
+class LinearSolverError(ConvergenceError):
+    """The linear solver failed in a step of Newton's method; the message has its own remedy."""
+
+
+class ToolCrossedError(ConvergenceError):
+    """The surface of a body has passed through a rigid tool."""

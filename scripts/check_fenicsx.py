@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Say, by exit status and one line on stderr, whether this Python has the FEniCSx that is needed.
+"""Check if this Python has the required FEniCSx: exit status, and one line on stderr if not.
 
 Read by `scripts/with-fenicsx` and `scripts/debian-tree`. With the argument `docs`, what `make docs`
 imports has to be installed, too.
@@ -12,7 +12,7 @@ from importlib.util import find_spec
 
 NEEDED = ["dolfinx", "petsc4py", "mpi4py"]
 DOCS = ["gmsh", "ipykernel", "jupytext", "matplotlib", "meshio", "myst_nb", "nbclient"]
-DOCS += ["sphinx", "sphinx_book_theme", "sphinx_copybutton", "sphinx_design"]
+DOCS += ["pyvista", "sphinx", "sphinx_book_theme", "sphinx_copybutton", "sphinx_design"]
 
 for name in NEEDED + (DOCS if sys.argv[1:] == ["docs"] else []):
     if find_spec(name) is None:

@@ -30,7 +30,8 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 #: Width and height of the windows.
-DESKTOP, TELEPHONE = (1280, 900), (400, 800)
+DESKTOP = (1280, 900)
+TELEPHONE = (400, 800)
 #: Words to search for, and a page that has to be among the results.
 SEARCHES = {"all-floating": "theory.html", "MATIS": "torn_matrix.html"}
 #: Attributes that load what they name; links (a href) only lead there.
@@ -125,7 +126,8 @@ def broken_links(site: Path) -> Iterator[str]:
 
 def browser() -> Any | None:
     """Start Chromium without a network; None if it is not installed."""
-    chromium, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    chromium = shutil.which("chromium")
+    driver = shutil.which("chromedriver")
     try:
         from selenium import webdriver
     except ModuleNotFoundError:
@@ -142,7 +144,7 @@ def browser() -> Any | None:
 
 
 def resize(chrome: Any, size: tuple[int, int]) -> None:
-    """Give the page a size; windows themselves do not become as narrow as a telephone."""
+    """Set the size of the page; a window cannot become as narrow as a telephone."""
     metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
     chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 

@@ -89,7 +89,7 @@ def modules(folder: Path = PACKAGE) -> Iterator[Module]:
 def rooms() -> Iterator[tuple[str, str, list[Module]]]:
     """Yield runs of modules in one folder: its path below the package, its summary, the modules.
 
-    A folder that holds files before and after a folder of its own comes twice.
+    A folder with files before and after a subfolder comes twice.
     """
     for room, inside in itertools.groupby(modules(), key=lambda module: module.room):
         yield room, docstring(PACKAGE / room / "__init__.py").splitlines()[0], list(inside)
@@ -181,7 +181,8 @@ def pages() -> dict[Path, str]:
 
 def between(path: Path, table: str) -> str:
     """Return a page with the table between its marks."""
-    begin, end = "<!-- rooms: begin -->", "<!-- rooms: end -->"
+    begin = "<!-- rooms: begin -->"
+    end = "<!-- rooms: end -->"
     head, found, rest = path.read_text(encoding="utf-8").partition(begin)
     tail = rest.partition(end)[2]
     if not found or not tail:

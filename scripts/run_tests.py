@@ -105,7 +105,8 @@ class Rank:
                 self.skipped.add(test)
             if when == "call" or outcome != "passed":
                 self.called.add(test)
-            self.finished += when == "teardown"
+            if when == "teardown":
+                self.finished += 1
 
     @property
     def passed(self) -> int:
@@ -154,7 +155,8 @@ class Run:
                     shown.add(test)
                     print(excerpt(OUT / f"{rank.name}.failures", test), flush=True)
             if (count := sum(rank.finished for rank in self.ranks)) > finished:
-                finished, last = count, now
+                finished = count
+                last = now
             if now - minute > MINUTE:
                 minute = now
                 print(f"np {self.np}: {self.counts()}, {self.seconds:.0f} s", flush=True)
@@ -275,7 +277,8 @@ def main(arguments: list[str]) -> int:
     runs = [run_on(int(number), arguments) for number in numbers]
     print("\n processes   result   passed   failed   skipped   seconds")
     for run in runs:
-        first, result = run.ranks[0], "ok" if run.ok else "FAILED"
+        first = run.ranks[0]
+        result = "ok" if run.ok else "FAILED"
         print(
             f"{run.np:10d} {result:>8s} {first.passed:8d} {len(run.failed):8d} "
             f"{len(first.skipped):9d} {run.seconds:9.0f}"

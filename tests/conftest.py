@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What holds around every test, and factories that clean up after themselves."""
+"""Choice of tests by the number of processes, checks after each test, fixtures that clean up."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import functools
 import gc
 import itertools
 import logging
+import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import hand_torn
-import numpy as np
 import primal_form
 import pytest
 from collective import agree, garbage
@@ -27,14 +28,21 @@ from problems import Problem, torn
 import dolfinx
 
 import dolfinx_feti
-from dolfinx_feti.feti.dual.form import DualForm, create_dual_form
+from dolfinx_feti.feti.dual.formulation import DualFormulation, create_dual_formulation
 from dolfinx_feti.feti.options import FETIOptions
 from dolfinx_feti.feti.pattern import Pattern, create_pattern
-from dolfinx_feti.feti.primal.form import PrimalForm
-from dolfinx_feti.feti.primal.krylov import conjugate_gradients
+from dolfinx_feti.feti.primal.formulation import PrimalFormulation
+from dolfinx_feti.feti.primal.krylov.conjugate_gradients import conjugate_gradients
+from dolfinx_feti.feti.primal.krylov.registry import KRYLOV_METHODS
 from dolfinx_feti.feti.setup import set_up
+from dolfinx_feti.feti.subsolver_options import read_subsolver_options
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_options import inserted
+from dolfinx_feti.runtime.scotch import VARIABLES
+
+# Meshes that tests create are distributed over the processes in the same way in every run.
+for name, value in VARIABLES.items():
+    os.environ.setdefault(name, value)
 
 COMM = MPI.COMM_WORLD
 PREFIX = "test_"
@@ -43,14 +51,20 @@ PREFIX = "test_"
 logging.getLogger("dolfinx_feti.compilation").disabled = True
 TESTS = Path(__file__).parent
 
-#: What belongs to one cell, one subdomain or one material, is a whole study, or stands upon the
-#: solver: a third process has nothing to tell that two have not. Gluing, coarse spaces and
-#: decompositions, which may join three processes at a node, are no part of it.
+#: Ids of parameters: characters that need no quotes in a shell, and a length that one can type.
+TYPABLE = re.compile(r"[\w.=+,:/-]{1,40}")
+MAX_ID = 40
+
+#: Tests to which a third process adds no coverage: of one cell, subdomain or material, of whole
+#: studies, and of what uses the solver. Gluing, coarse spaces and decompositions, where three
+#: processes may meet in a node, run on three.
 AT_MOST_TWO = [
     TESTS / name
     for name in (
         "benchmarks",
         "comparison",
+        "contact/test_oracles.py",
+        "contact/test_paths.py",
         "demos",
         "fem/test_cell_kernels.py",
         "fem/test_condensation.py",
@@ -67,12 +81,12 @@ AT_MOST_TWO = [
     )
 ]
 
-#: Meshes of the present test, whose communicators PETSc's objects of their problems are on.
+#: Meshes of the current test: PETSc's garbage is looked up on their communicators.
 _meshes: list[dolfinx.mesh.Mesh] = []
 
 
 def remembered(init: Callable[..., None]) -> Callable[..., None]:
-    """Keep each new mesh until its test has ended, and with it its communicator."""
+    """Return the constructor of a mesh that also lists the mesh, with its communicator."""
 
     @functools.wraps(init)
     def remember(mesh: dolfinx.mesh.Mesh, *args: object, **kwargs: object) -> None:
@@ -86,10 +100,10 @@ dolfinx.mesh.Mesh.__init__ = remembered(dolfinx.mesh.Mesh.__init__)  # type: ign
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what is not tried on so many processes.
+    """Deselect the tests that do not run on this number of processes.
 
-    That is, on several, the work of the first one alone, and what :func:`each_choice` leaves out;
-    on more than two, ``AT_MOST_TWO``; on more than three all that is not marked with the number.
+    On several: those marked ``serial``, and those that :func:`each_choice` does not choose. On more
+    than two: ``AT_MOST_TWO``. On more than three: all that are not marked with the number.
     """
 
     def is_tried(item: pytest.Item) -> bool:
@@ -114,10 +128,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def each_choice(items: list[pytest.Item]) -> Iterable[pytest.Item]:
-    """Choose as few of a test's parametrisations as have every value of every parameter.
+    """Yield few of a test's parametrisations that together have every value of every parameter.
 
-    One process tries all combinations. Two try each value with the first others that need one, and
-    three with the last ones, so that the two have different combinations where there are more.
+    One process runs all combinations. Two combine each value with the first values that are not yet
+    covered, three with the last ones, so that they run different combinations.
     """
     rest = items if COMM.size == 2 else items[::-1]
     missing = set[object]().union(*map(values, rest))
@@ -128,7 +142,7 @@ def each_choice(items: list[pytest.Item]) -> Iterable[pytest.Item]:
 
 
 def values(item: pytest.Item) -> set[object]:
-    """Return what a test is given; parameters that are listed together are one value."""
+    """Return the values of a test's parameters; those parametrised together are one value."""
     given = getattr(item, "callspec", None)
     if given is None:
         return {item}
@@ -138,20 +152,45 @@ def values(item: pytest.Item) -> set[object]:
     return {tuple((name, id(given.params[name])) for name in names) for names in together}
 
 
+def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
+    """Return an id of a parameter that one can type without quotes, or None for pytest's."""
+    if isinstance(val, str) and val and not TYPABLE.fullmatch(val):
+        return typable(val)
+    if isinstance(val, Mapping):
+        return typable(",".join(f"{key}={named(each)}" for key, each in val.items())) or "empty"
+    if isinstance(val, set | frozenset):  # in the same order in each process
+        return typable(",".join(sorted(named(each) for each in val))) or "empty"
+    if isinstance(val, list | tuple):
+        return typable(",".join(named(each) for each in val)) or "empty"
+    if getattr(val, "__name__", None) == "<lambda>":
+        return argname
+    return None
+
+
+def named(value: object) -> str:
+    """Return the name of a function or class, or else the text of a value."""
+    return str(getattr(value, "__name__", value))
+
+
+def typable(text: str) -> str:
+    """Return the beginning of a text, with underscores in place of what a shell would interpret."""
+    return re.sub(r"[^\w.=+,:-]+", "_", text)[:MAX_ID].strip("_")
+
+
 def pytest_collection_finish() -> None:
-    """Spare the collector what the imports have made."""
+    """Exclude the objects of the imports from later collections of garbage."""
     collect()
 
 
 def collect() -> None:
-    """Collect garbage, and spare the next collection what is left of this one."""
+    """Collect garbage, and exclude the remaining objects from later collections."""
     gc.collect()
     gc.freeze()
 
 
 @pytest.fixture(autouse=True)
 def clean() -> Iterator[None]:
-    """Find the options database as it was, and no object that processes have to end together."""
+    """Fail if a test leaves PETSc options, or objects that processes have to destroy together."""
     before = PETSc.Options().getAll()
     yield
     collect()
@@ -167,20 +206,20 @@ def clean() -> Iterator[None]:
 
 @pytest.fixture
 def tmp_path(tmp_path: Path) -> Path:
-    """Give all processes the folder of the first one."""
+    """The folder of the first process, on all processes."""
     return COMM.bcast(tmp_path)
 
 
 @pytest.fixture
 def lifetime() -> Iterator[Lifetime]:
-    """Own what a test makes."""
+    """An owner of PETSc's objects, which are destroyed after the test."""
     with Lifetime() as owner:
         yield owner
 
 
 @pytest.fixture
 def without_collector() -> Iterator[None]:
-    """Let reference counting alone do."""
+    """Disable the garbage collector during a test: reference counting frees objects."""
     collect()
     gc.disable()
     yield
@@ -190,44 +229,50 @@ def without_collector() -> Iterator[None]:
 @pytest.fixture
 def torn_grid(lifetime: Lifetime) -> Callable[..., hand_torn.HandTorn]:
     """Tear a brick by hand, see :func:`hand_torn.grid`."""
-    return lambda *args, **how: lifetime.own(hand_torn.grid(*args, **how))
+
+    def create(*args: Any, **options: Any) -> hand_torn.HandTorn:
+        return lifetime.own(hand_torn.grid(*args, **options))
+
+    return create
 
 
 @pytest.fixture
 def cautious(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the primal form end where its coarse space shows negative curvature."""
+    """Make the primal formulation stop at negative curvature in its coarse space."""
 
-    def iterate(*args: Any, saddles: bool, **kwargs: Any) -> Any:
-        return conjugate_gradients(*args, **kwargs)
+    def iterate(*args: Any, allow_indefinite: bool, **kwargs: Any) -> Any:
+        return conjugate_gradients(*args, allow_indefinite=False, **kwargs)
 
-    monkeypatch.setattr("dolfinx_feti.feti.primal.form.conjugate_gradients", iterate)
+    monkeypatch.setitem(KRYLOV_METHODS, "cg", replace(KRYLOV_METHODS["cg"], solve=iterate))
 
 
 @pytest.fixture
-def parts(pattern: Callable[..., Pattern], lifetime: Lifetime) -> Callable[..., DualForm]:
+def parts(pattern: Callable[..., Pattern], lifetime: Lifetime) -> Callable[..., DualFormulation]:
     """Build the dual form of a torn matrix, with options as keywords."""
 
-    def create(A: PETSc.Mat, **options: object) -> DualForm:
+    def create(A: PETSc.Mat, **options: object) -> DualFormulation:
         read = pattern(A, **options)
-        return create_dual_form(read, set_up(read, lifetime, lifetime), lifetime)
+        return create_dual_formulation(read, set_up(read, lifetime, lifetime), lifetime)
 
     return create
 
 
 @pytest.fixture
 def double_products(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep A V in double precision, so that identities hold to its rounding."""
-    monkeypatch.setattr("dolfinx_feti.feti.coarse.space.PRECISION", np.float64)
+    """Keep Vᵀ A in double precision, so that identities hold to its rounding."""
+    monkeypatch.setattr("dolfinx_feti.feti.coarse.products.MIN_SINGLE_PRECISION_RATIO", 2.0)
 
 
 @pytest.fixture
 def form(
     pattern: Callable[..., Pattern], double_products: None, lifetime: Lifetime
-) -> Callable[..., PrimalForm]:
+) -> Callable[..., PrimalFormulation]:
     """Build the primal form of a torn problem, see :func:`primal_form.create`."""
-    return lambda problem, more=None, **options: primal_form.create(
-        pattern(problem.A, deflation=0, **options), lifetime, more
-    )
+
+    def create(problem: Any, more: Any = None, **options: object) -> PrimalFormulation:
+        return primal_form.create(pattern(problem.A, deflation=0, **options), lifetime, more)
+
+    return create
 
 
 @pytest.fixture
@@ -236,7 +281,7 @@ def pattern(lifetime: Lifetime) -> Callable[..., Pattern]:
 
     def create(A: PETSc.Mat, **options: object) -> Pattern:
         given = FETIOptions(**{"interior": "keep", **options})
-        return create_pattern(A, given, PREFIX, lifetime)
+        return create_pattern(A, given, read_subsolver_options(PREFIX), lifetime)
 
     return create
 

@@ -11,7 +11,8 @@ import pytest
 from collective import COMM, agree
 
 TRIED: list[tuple[str, tuple[int, int]]] = []
-LETTERS, PAIRS = "abc", [(1, 1), (1, 2), (2, 2), (2, 1)]
+LETTERS = "abc"
+PAIRS = [(1, 1), (1, 2), (2, 2), (2, 1)]
 
 
 @pytest.mark.parametrize("letter", LETTERS)

@@ -25,9 +25,23 @@ from dolfinx_feti import LinearProblem, NonlinearProblem, kinematics, loads, mat
 from dolfinx_feti.loading import LoadStep, Steps, follow_load
 from dolfinx_feti.mechanics.residual_stress import elastic_part
 from dolfinx_feti.runtime.arrays import Array, Indices
+from dolfinx_feti.runtime.scotch import repeatable_partitions
 
 POISSON = 0.3
 SHEAR_MODULUS = 1.0  # kPa
+
+#: Length over thickness of the plates.
+PLATES = {"plate-20": 20.0, "plate-100": 100.0, "plate-1000": 1000.0}
+
+#: Width over length of the plates.
+PLATE_WIDTH = 0.6
+
+#: Stiffness of the inclusions over that of the rest, by the body.
+INCLUSIONS = {"inclusions-1e4": 1e4, "inclusions-1e8": 1e8}
+
+#: Radius of an inclusion; there are three along each edge of the unit cube.
+INCLUSION_RADIUS = 0.12
+INCLUSIONS_PER_EDGE = 3
 
 #: A component of the displacement, or all of them, that is zero on a surface.
 Held = tuple[int | None, Indices]
@@ -69,7 +83,7 @@ class Body:
         self.load.value = value * self.unit
 
     def inflate(self, to: Sequence[float], steps: Steps, **settings: object) -> list[LoadStep]:
-        """Go from equilibrium to equilibrium up to some loads, see ``follow_load``."""
+        """Follow the load from equilibrium to equilibrium, see ``follow_load``."""
         state = [self.u, self.p]
         return follow_load(self.problem, self.set_load, to, steps, state=state, **settings)
 
@@ -96,7 +110,8 @@ def create_solid(
     p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, pressures), name="p")
     F = kinematics.deformation_gradient(u)
     E = F if G is None else elastic_part(F, G)
-    C, J = kinematics.right_cauchy_green(E), kinematics.jacobian(E)
+    C = kinematics.right_cauchy_green(E)
+    J = kinematics.jacobian(E)
     psi = energy(C, J) + materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(mesh, kappa))
     stored = psi * ufl.dx(metadata={"quadrature_degree": 2 * degree})
     bcs = [hold(V, component, facets) for component, facets in held]
@@ -131,9 +146,14 @@ def create_body(
     """
     share = dolfinx.fem.Constant(mesh, 0.0)
     made = create_solid(mesh, lambda C, J: energy(C, J, share), held=held, degree=degree, **solid)
-    u, p, bcs, potential = made.u, made.p, made.bcs, made.energy
-    v, q = ufl.TestFunction(u.function_space), ufl.TestFunction(p.function_space)
-    du, metadata = ufl.TrialFunction(u.function_space), {"quadrature_degree": 2 * degree}
+    u = made.u
+    p = made.p
+    bcs = made.bcs
+    potential = made.energy
+    v = ufl.TestFunction(u.function_space)
+    q = ufl.TestFunction(p.function_space)
+    du = ufl.TrialFunction(u.function_space)
+    metadata = {"quadrature_degree": 2 * degree}
     tags = dolfinx.mesh.meshtags(mesh, 2, loaded, np.ones(len(loaded), dtype=np.int32))
     ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata=metadata)(1)
     if grip:
@@ -152,10 +172,15 @@ def create_body(
     if lumen:
         potential += loads.pressure_potential(load * share, u, ds, axis=axis)
     problem = NonlinearProblem(
-        (F_u, residual_p), u, bcs=bcs, J=K, condense=p,
+        (F_u, residual_p),
+        u,
+        bcs=bcs,
+        J=K,
+        condense=p,
         energy=potential if lumen or not follows else None,
-        quadrature_degree=2 * degree, **(settings or {}),
-    )  # fmt: skip
+        quadrature_degree=2 * degree,
+        **(settings or {}),
+    )
     return Body(u, p, (F_u, residual_p), held, problem, share, made.stress, lambda: measure(u))
 
 
@@ -186,24 +211,33 @@ def create_neo_hookean(
 def create_linear(
     comm: MPI.Comm, kind: str, *, dofs: int, degree: int, **settings: object
 ) -> LinearProblem:
-    """Build a unit ``cube`` or ``square`` in its weight, or Poisson's equation on a cube, ``heat``.
+    """Build a compressible body in its weight, or Poisson's equation on a cube, ``heat``.
 
-    u = 0 at x = 0. PETSc options have the prefix ``body_``; the settings are those of the problem.
+    A unit ``cube`` or ``square``; a unit cube with stiff :data:`INCLUSIONS`; one of the
+    :data:`PLATES`, 1 × 0.6, of one layer of hexahedra. u = 0 at x = 0, and at x = 1 in a plate.
+    PETSc options have the prefix ``body_``; the settings are those of the problem.
     """
-    dim, elastic = 2 if kind == "square" else 3, kind != "heat"
-    mesh = _unit_mesh(comm, dofs, degree, dim, elastic)
+    dim = 2 if kind == "square" else 3
+    elastic = kind != "heat"
+    if kind in PLATES:
+        mesh = _plate_mesh(comm, dofs, degree, PLATES[kind])
+    else:
+        mesh = _unit_mesh(comm, dofs, degree, dim, elastic)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (dim,) if elastic else ()))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    u = ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
     strain = ufl.sym(ufl.grad(u)) if elastic else ufl.grad(u)
     stress = strain
     if elastic:
-        lmbda = 2 * SHEAR_MODULUS * POISSON / (1 - 2 * POISSON)
-        stress = 2 * SHEAR_MODULUS * strain + lmbda * ufl.tr(strain) * ufl.Identity(dim)
+        mu = _modulus(mesh, INCLUSIONS[kind]) if kind in INCLUSIONS else SHEAR_MODULUS
+        lmbda = 2 * mu * POISSON / (1 - 2 * POISSON)
+        stress = 2 * mu * strain + lmbda * ufl.tr(strain) * ufl.Identity(dim)
     weight = dolfinx.fem.Constant(mesh, np.eye(dim)[-1] if elastic else np.array(1.0))
+    ends = (0.0, 1.0) if kind in PLATES else (0.0,)
     return LinearProblem(
         ufl.inner(stress, ufl.grad(v)) * ufl.dx,
         ufl.inner(weight, v) * ufl.dx,
-        bcs=[hold(V, None, plane(mesh, 0, 0.0))],
+        bcs=[hold(V, None, plane(mesh, 0, x)) for x in ends],
         petsc_options_prefix="body_",
         **settings,
     )
@@ -215,7 +249,8 @@ def create_block(
     """Mesh a block from the origin with hexahedra."""
     corners = [np.zeros(3), np.array(lengths)]
     kind = dolfinx.mesh.CellType.hexahedron
-    return dolfinx.mesh.create_box(comm, corners, list(cells), cell_type=kind)
+    with repeatable_partitions():
+        return dolfinx.mesh.create_box(comm, corners, list(cells), cell_type=kind)
 
 
 def plane(mesh: dolfinx.mesh.Mesh, axis: int, x: float) -> Indices:
@@ -242,10 +277,28 @@ def hold(
     return dolfinx.fem.dirichletbc(zero, dofs, part)
 
 
+def _plate_mesh(comm: MPI.Comm, dofs: int, degree: int, slenderness: float) -> dolfinx.mesh.Mesh:
+    """Mesh a plate of length 1 with n cells along it, for n² 0.6 degree² (degree + 1) nodes."""
+    n = max(2, round((dofs / (3 * PLATE_WIDTH * degree**2 * (degree + 1))) ** 0.5))
+    lengths = (1.0, PLATE_WIDTH, 1.0 / slenderness)
+    return create_block(comm, lengths, (n, max(1, round(PLATE_WIDTH * n)), 1))
+
+
+def _modulus(mesh: dolfinx.mesh.Mesh, inclusions: float) -> dolfinx.fem.Function:
+    """Return the shear modulus of each cell [kPa], for a ratio of inclusions to the rest."""
+    mu = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
+    x = mu.function_space.tabulate_dof_coordinates()[: len(mu.x.array)]
+    centre = (np.floor(INCLUSIONS_PER_EDGE * x) + 0.5) / INCLUSIONS_PER_EDGE
+    is_stiff = np.linalg.norm(x - centre, axis=1) < INCLUSION_RADIUS
+    mu.x.array[:] = np.where(is_stiff, inclusions * SHEAR_MODULUS, SHEAR_MODULUS)
+    return mu
+
+
 def _unit_mesh(
     comm: MPI.Comm, dofs: int, degree: int, dim: int, elastic: bool = True
 ) -> dolfinx.mesh.Mesh:
     """Mesh a square or cube with n cells along an edge, for (n degree + 1)^dim nodes."""
     n = max(1, round(((dofs / (dim if elastic else 1)) ** (1 / dim) - 1) / degree))
     create = {2: dolfinx.mesh.create_unit_square, 3: dolfinx.mesh.create_unit_cube}[dim]
-    return create(comm, *[n] * dim)
+    with repeatable_partitions():
+        return create(comm, *[n] * dim)

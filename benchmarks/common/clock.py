@@ -34,14 +34,14 @@ def event_clock(names: Sequence[str], comm: MPI.Comm) -> Callable[[], dict[str, 
 
 
 class Stopwatch:
-    """Set-up and Krylov method of each solve of a KSP, say of those of Newton's method.
+    """Times of set-up and Krylov method for each solve of a KSP, such as that of Newton's method.
 
     What comes before the norm of the first residual is the set-up. Processor time is that of one
     process alone, which other work on the machine hardly disturbs.
     """
 
     def __init__(self, comm: MPI.Comm) -> None:
-        """Begin with nothing."""
+        """Create a stopwatch without times."""
         self._comm = comm
         self._times: list[Array] = []  # begun, ready, ended; clock, processor
         self._begun = self._ready = np.zeros(2)

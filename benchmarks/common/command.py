@@ -12,13 +12,13 @@ from typing import IO
 
 from mpi4py import MPI
 
-from dolfinx_feti.runtime.collective import on_first
-from meshes.arguments import positive
-from meshes.walls import CREATE
+from dolfinx_feti.meshes.arguments import positive
+from dolfinx_feti.meshes.walls import CREATE
+from dolfinx_feti.runtime.collective import on_root
 
 
 def add_choices(parser: argparse.ArgumentParser, name: str, choices: Sequence[object]) -> None:
-    """Add an option for some of some values, all of them if it is not given."""
+    """Add an option for one or more of the choices; the default is all of them."""
     values = ",".join(map(str, choices))
     parser.add_argument(name, type=some_of(choices), default=list(choices), help=values)
 
@@ -38,16 +38,21 @@ def add_size(parser: argparse.ArgumentParser) -> None:
 
 def say(text: str, comm: MPI.Comm, file: IO[str] | None = None) -> None:
     """Print a line on the first process; what fails there fails on all. Collective."""
-    on_first(lambda: print(text, file=file, flush=True), comm)
+    on_root(lambda: print(text, file=file, flush=True), comm)
 
 
 def several(single: Callable[[str], object]) -> Callable[[str], list[object]]:
-    """Return a type for values separated by commas."""
-    return lambda text: list(dict.fromkeys(single(word.strip()) for word in text.split(",")))
+    """Return a type for values separated by commas, each once."""
+
+    def read(text: str) -> list[object]:
+        values = (single(word.strip()) for word in text.split(","))
+        return list(dict.fromkeys(values))
+
+    return read
 
 
 def some_of(choices: Sequence[object]) -> Callable[[str], list[object]]:
-    """Return a type for some of some values, separated by commas."""
+    """Return a type for one or more of the choices, separated by commas."""
     known = {str(choice): choice for choice in choices}
 
     def read(word: str) -> object:

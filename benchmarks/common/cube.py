@@ -29,10 +29,11 @@ import ufl
 from benchmarks.common.clock import Stopwatch, event_clock
 from benchmarks.common.records import Record
 from dolfinx_feti import LinearProblem
+from dolfinx_feti.meshes.cube import create_cube
 from dolfinx_feti.runtime import compat
-from meshes.cube import create_cube
 
-YOUNG, POISSON = 210.0, 0.45
+YOUNG = 210.0
+POISSON = 0.45
 
 #: x*, outside of the cube.
 SOURCE = (2.0, 2.0, 2.0)
@@ -73,6 +74,7 @@ class Case:
     def options(self) -> dict[str, object]:
         """Return the options of the solver."""
         return {
+            "feti_formulation": "dual",
             "feti_type": self.type,
             "feti_pc_type": self.pc,
             "feti_scaling": self.scaling,
@@ -93,7 +95,8 @@ def create_problem(
     subdomains = case.subdomains_per_edge
     mesh, part = create_cube(comm, subdomains, 2 ** (case.level - 1))
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", case.degree, (3,)))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    u = ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
     mu = YOUNG / (2 * (1 + POISSON))
     lmbda = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
     energy = 2 * mu * ufl.inner(_strain(u), _strain(v)) + lmbda * ufl.div(u) * ufl.div(v)
@@ -111,23 +114,29 @@ def create_problem(
     dofs = dolfinx.fem.locate_dofs_topological(V, 2, surface)
     L = ufl.inner(dolfinx.fem.Constant(mesh, np.zeros(3)), v) * ufl.dx
     tear = partial(
-        LinearProblem, energy * ufl.dx, L,
-        bcs=[dolfinx.fem.dirichletbc(values, dofs)], subdomains=part,
-        petsc_options_prefix="cube_", petsc_options=case.options(),
-    )  # fmt: skip
+        LinearProblem,
+        energy * ufl.dx,
+        L,
+        bcs=[dolfinx.fem.dirichletbc(values, dofs)],
+        subdomains=part,
+        petsc_options_prefix="cube_",
+        petsc_options=case.options(),
+    )
     return tear, exact
 
 
 def solve(linear: LinearProblem) -> Record:
     """Solve, and record what it took. Collective."""
     comm = linear.u.function_space.mesh.comm
-    coarse, watch = event_clock(["FETICoarse"], comm), Stopwatch(comm)
+    coarse = event_clock(["FETICoarse"], comm)
+    watch = Stopwatch(comm)
     watch.hook(linear.solver)
     linear.solve()
     feti = linear.solver.getPythonContext()
     report = feti.report()
     low, high = feti.eigenvalues
-    (setup, krylov), (cpu_setup, cpu_krylov) = watch.each()[0], watch.processor()[0]
+    (setup, krylov) = watch.each()[0]
+    (cpu_setup, cpu_krylov) = watch.processor()[0]
     return {
         "subdomains": report.subdomains,
         "dofs_local_max": report.dofs_local[1],

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The page of a study: a template in Markdown, filled with values from records.
+"""Pages of studies: templates in Markdown, filled with values from records.
 
 Fields are those of :meth:`str.format`, ``{kappa:g}`` or ``{times[local]:.2f}``; beside its formats
 there are those of :data:`FORMS`, and what is not known is shown as a dash. A line that ends in
@@ -14,8 +14,8 @@ the page's. A heading that ends so stands for its section, up to the next headin
     | --: | --: |
     | {solver} | {seconds:.2f} | <!-- rows -->
 
-A table of more than :data:`LONGEST` rows, or :data:`LARGEST` cells, goes into a file beside the
-page, as CSV, and the page has a link. Each number on a page comes from a record.
+A table of more than :data:`MAX_ROWS` rows, or :data:`MAX_CELLS` cells, is folded: the page shows a
+line that opens it. Each number on a page comes from a record.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ Fields = Mapping[str, Any]
 MARK = re.compile(r" *<!-- (\w+) -->$")
 TABLE = re.compile(r"(?:^\|.*\n)+", re.M)
 
-#: Rows and cells of a table that a page shows.
-LONGEST, LARGEST = 8, 30
+#: Largest numbers of rows and of cells of a table that is shown open: about half a screen.
+MAX_ROWS = 8
+MAX_CELLS = 30
 
 #: Formats of values: a whole number in groups of three digits, four digits, a share in two digits,
 #: the deviation of a quotient from one, a share, an order of magnitude, and a verdict.
@@ -73,24 +74,24 @@ def groups(
     yield from found.items()
 
 
-def set_aside(text: str, name: str) -> tuple[str, list[list[list[str]]]]:
-    """Replace long tables by links to files; return the text, and the cells of each table."""
-    tables: list[list[list[str]]] = []
+def fold_tables(text: str) -> str:
+    """Return a page whose long tables are folded into lines that open them.
 
-    def link(found: re.Match[str]) -> str:
-        rows = [line.strip("| ").split(" | ") for line in found[0].splitlines()]
-        if len(rows) - 2 <= LONGEST and (len(rows) - 2) * len(rows[0]) <= LARGEST:
-            return found[0]
-        tables.append([[_plain(cell) for cell in row] for row in [rows[0], *rows[2:]]])
-        number = f"{len(rows) - 2} row{'s' if len(rows) > 3 else ''}"
-        return f"[Table of {number}](tables/{name}_{len(tables)}.csv)\n"
+    The tags are HTML, which a site and a viewer of Markdown both show; the empty lines inside them
+    begin and end the Markdown.
+    """
 
-    return TABLE.sub(link, text), tables
+    def fold(found: re.Match[str]) -> str:
+        table = found[0]
+        lines = table.splitlines()
+        columns = len(lines[0].strip("| ").split(" | "))
+        rows = len(lines) - 2  # without the heading and the line below it
+        if rows <= MAX_ROWS and rows * columns <= MAX_CELLS:
+            return table
+        number = f"{rows} row{'s' if rows > 1 else ''}"
+        return f"<details>\n<summary>Table of {number}</summary>\n\n{table}\n</details>\n"
 
-
-def _plain(cell: str) -> str:
-    """Return a cell without marks of Markdown, and its numbers without groups of digits."""
-    return re.sub(r"(?<=\d) (?=\d{3}\b)", "", cell.strip().replace("**", ""))
+    return TABLE.sub(fold, text)
 
 
 def provenance(records: Sequence[Record]) -> dict[str, object]:

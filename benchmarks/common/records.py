@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A JSON file of records that is written as a study goes on, and read when it is resumed."""
+"""A JSON file of records, written after each case and read when a study is resumed."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from petsc4py import PETSc
 import dolfinx
 
 import dolfinx_feti
-from dolfinx_feti.runtime.collective import on_first, reason
+from dolfinx_feti.runtime.collective import error_message, on_root
 
 Record = dict[str, object]
-#: Tells whether a record is one of a study.
+#: Returns True if a record belongs to a study.
 Known = Callable[[Record], bool]
 
 
@@ -51,11 +51,12 @@ class Records:
                 raise ValueError(message) from error
             return read_records(path, known, writer, empty=True)
 
-        self._path, self._comm = path, comm
-        self._records = [] if path is None else on_first(read_or_create, comm)
+        self._path = path
+        self._comm = comm
+        self._records = [] if path is None else on_root(read_or_create, comm)
 
     def __iter__(self) -> Iterator[Record]:
-        """Go through the records."""
+        """Return an iterator over the records."""
         return iter(self._records)
 
     def all(self, key: Record) -> list[Record]:
@@ -64,7 +65,7 @@ class Records:
         return [r for r in self._records if all(r.get(n, ...) == value for n, value in same)]
 
     def keep(self, key: Record, found: Record) -> Record:
-        """Put what the first process found, in the place of a record with the same key. Collective.
+        """Write the first process's values, replacing a record with the same key. Collective.
 
         Raises:
             OSError: The file cannot be written any more. On all processes; the file is as before.
@@ -78,14 +79,16 @@ class Records:
         else:
             self._records.append(record)
         if self._path is not None:
-            path, records = self._path, self._records
-            on_first(lambda: _write(path, records), self._comm)
+            path = self._path
+            records = self._records
+            on_root(lambda: _write(path, records), self._comm)
         return record
 
 
 def describe_machine() -> dict[str, str | int]:
     """Name the processors, the memory and the versions."""
-    names, memory = list[str](), 0
+    names = list[str]()
+    memory = 0
     with suppress(OSError, ValueError):  # this is Linux
         names = re.findall(r"model name\s*:\s*(.*)", Path("/proc/cpuinfo").read_text())
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -115,7 +118,7 @@ def commit() -> str | None:
 
 
 def read_records(path: Path, known: Known, writer: str, *, empty: bool = False) -> list[Record]:
-    """Read the records of a study, which are told by ``known``.
+    """Read the records of a study, for which ``known`` returns True.
 
     Raises:
         OSError: The file cannot be read.
@@ -133,7 +136,7 @@ def read_records(path: Path, known: Known, writer: str, *, empty: bool = False) 
 
 
 def _write(path: Path, records: list[Record]) -> None:
-    """Write all records beside the file, then put them in its place: there is one whole file."""
+    """Write all records to another file, then rename it: the file is complete at any time."""
     whole = path.with_name(path.name + ".part")
     lines = (json.dumps(each, ensure_ascii=False) for each in records)
     try:
@@ -141,7 +144,7 @@ def _write(path: Path, records: list[Record]) -> None:
         os.replace(whole, path)
     except OSError as error:
         raise OSError(
-            f"The records in '{path}' cannot be written ({reason(error)}): make room, and "
+            f"The records in '{path}' cannot be written ({error_message(error)}): make room, and "
             "run it again; what the file holds is not repeated."
         ) from error
     finally:

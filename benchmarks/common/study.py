@@ -1,65 +1,93 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The harness: what a study takes, the cases that its file lacks, one record each, and its page.
+"""The harness: it runs the cases of a study that a file of records lacks, and writes its page.
 
-    python3 -m benchmarks.NAME --json FILE                  run what the file lacks
-    python3 -m benchmarks.NAME --page FOLDER --json FILE …  write the page of what files hold
+    python3 -m benchmarks.NAME --json FILE                  run all cases that the file lacks
+    python3 -m benchmarks.NAME --list                       print all cases, one on each line
+    python3 -m benchmarks.NAME --only level=2,pc=lumped     run the cases with these values
+    python3 -m benchmarks.NAME --page FOLDER --json FILE …  write the page from files of records
 
-A study is a module with an object :class:`Study` and a template beside it, ``NAME.md``, and ends in
-``if __name__ == "__main__": STUDY.main()``. Words with a single dash are options of PETSc.
+A study is a module with an object :class:`Study` and a template ``NAME.md`` in the same folder, and
+ends in ``if __name__ == "__main__": STUDY.main()``. Words with a single dash are options of PETSc.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from benchmarks.common.command import say
-from benchmarks.common.pages import Fields, fill, provenance, set_aside
+from benchmarks.common.pages import Fields, fill, fold_tables, provenance
 from benchmarks.common.records import Known, Record, Records, read_records
 from dolfinx_feti import ConvergenceError
-from meshes.arguments import Parser, parse_all, without_petsc
+from dolfinx_feti.meshes.arguments import Parser, parse_all, without_petsc
 
-#: Adds what was found to the key of a case, a further key first, and writes and shows the record.
+#: Writes and prints a record. Arguments: what the key of the record has beyond that of its case,
+#: such as the pressure, and the measured values.
 Keep = Callable[[Record, Record], Record]
 Arguments = argparse.Namespace
 
 
+def no_options(parser: argparse.ArgumentParser) -> None:
+    """Add no options: the study has only those of the harness."""
+
+
+def has_record(case: Record, records: Records, _args: Arguments) -> bool:
+    """Return True if a case has a record."""
+    return bool(records.all(case))
+
+
+def no_pictures(_records: Sequence[Record], _folder: Path) -> Sequence[Fields]:
+    """Draw nothing."""
+    return ()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
-    """A study: what tells its cases apart, how one is measured, and what its page shows.
+    """A study: its cases, how one is measured, and what its page shows.
 
-    ``cases`` raises a ValueError that names a wrong argument; ``run`` keeps a record, or several.
+    Args:
+        file: Path of its module, ``__file__``; the template has the same name.
+        about: Help of the command line, ``__doc__``.
+        page: Name of the page without suffix.
+        known: Returns True if a record is one of this study.
+        cases: Yields the key of each case; raises a ValueError that names a wrong argument.
+        run: Measures a case and keeps its records, one or more. Collective.
+        fields: Returns the values of the template from all records.
+        options: Adds the study's own options to the command line.
+        done: Returns True if a case has all its records.
+        draw: Draws pictures into a folder; returns a row for each.
     """
 
-    file: str  # its module
+    file: str
     about: str | None
     page: str
     known: Known
     cases: Callable[[Arguments, MPI.Comm], Iterable[Record]]
-    run: Callable[[Record, Keep, Arguments, MPI.Comm], object]  # collective
-    fields: Callable[[Sequence[Record]], Fields]  # of the template
-    options: Callable[[argparse.ArgumentParser], object] = lambda _parser: None
-    done: Callable[[Record, Records, Arguments], bool] = lambda case, records, _: bool(
-        records.all(case)
-    )
-    draw: Callable[[Sequence[Record], Path], Sequence[Fields]] = lambda _records, _folder: ()
+    run: Callable[[Record, Keep, Arguments, MPI.Comm], object]
+    fields: Callable[[Sequence[Record]], Fields]
+    options: Callable[[argparse.ArgumentParser], object] = no_options
+    done: Callable[[Record, Records, Arguments], bool] = has_record
+    draw: Callable[[Sequence[Record], Path], Sequence[Fields]] = no_pictures
 
     def main(
         self, argv: Sequence[str] | None = None, comm: MPI.Comm = MPI.COMM_WORLD
     ) -> list[Record]:
-        """Run a command line; return the records of its cases, also those that the file had.
+        """Run a command line; return the records of its cases, also those read from the file.
 
-        It exits if the command line is wrong, or a case has no record. Collective.
+        Collective.
+
+        Raises:
+            SystemExit: The command line is wrong (status 2), or a case failed (status 1).
         """
         form = argparse.RawDescriptionHelpFormatter
         name = Path(self.file).stem
@@ -67,6 +95,8 @@ class Study:
         add = parser.add_argument
         add("--json", type=Path, nargs="+", default=[], metavar="FILE", help="records; added to")
         add("--again", action="store_true", help="also run cases that the file has")
+        add("--list", action="store_true", help="print the cases instead")
+        add("--only", type=read_values, default={}, metavar="NAME=VALUE,…", help="run these cases")
         add("--page", type=Path, metavar="FOLDER", help="write the page of the files instead")
         self.options(parser)
         own, petsc = without_petsc(sys.argv[1:] if argv is None else argv)
@@ -79,51 +109,78 @@ class Study:
                 self.write_page(args.json, args.page)
                 return []
             path = args.json[0] if args.json else None
+            cases = select(self.cases(args, comm), args.only)
+            if args.list:
+                for case in cases:
+                    say(shown(case), comm)
+                return []
             records = Records(path, comm, self.known, self.page)
-            return self._run_all(args, records, comm)
+            return self._run_all(cases, args, records, comm)
         except (OSError, ValueError) as error:  # of a file; fewer cells than subdomains
             parser.error(str(error))
 
-    def _run_all(self, args: Arguments, records: Records, comm: MPI.Comm) -> list[Record]:
-        """Run the cases that the records lack; return their records, or exit if one has failed."""
-        found: list[Record] = []
-        lost = False
-        for case in self.cases(args, comm):
-
-            def keep(key: Record, values: Record, case: Record = case) -> Record:
-                record = records.keep(case | key, values)
-                say(json.dumps(record, ensure_ascii=False), comm)
-                return record
-
+    def _run_all(
+        self, cases: Iterable[Record], args: Arguments, records: Records, comm: MPI.Comm
+    ) -> list[Record]:
+        """Run the cases that have no record; return the records of all, or exit if one failed."""
+        records_of_cases: list[Record] = []
+        has_failed = False
+        for case in cases:
             if not args.again and self.done(case, records, args):
                 for record in records.all(case):
                     say(f"in the records already: {json.dumps(record, ensure_ascii=False)}", comm)
             else:
                 try:
-                    self.run(case, keep, args, comm)
+                    self.run(case, partial(keep_record, records, comm, case), args, comm)
                 except ConvergenceError as error:
                     say(f"failed: {case}: {error}", comm, sys.stderr)
-                    lost = True
-            found += records.all(case)
-        if lost:
+                    has_failed = True
+            records_of_cases += records.all(case)
+        if has_failed:
             sys.exit(1)
-        return found
+        return records_of_cases
 
     def write_page(self, files: Sequence[Path], folder: Path) -> str:
-        """Write the page of some files, its tables and pictures; return it with all tables."""
+        """Write the page of some files and its pictures; return its text."""
         records = [r for path in files for r in read_records(path, self.known, self.page)]
         folder.mkdir(parents=True, exist_ok=True)
         values = {**provenance(records), **self.fields(records)}
         values["pictures"] = self.draw(records, folder)
         template = Path(self.file).with_suffix(".md").read_text(encoding="utf-8")
-        filled = fill(template, values)
-        text, tables = set_aside(filled, self.page)
+        text = fold_tables(fill(template, values))
         (folder / f"{self.page}.md").write_text(text, encoding="utf-8")
-        for old in (folder / "tables").glob(f"{self.page}_[0-9]*.csv"):
-            old.unlink()
-        for number, rows in enumerate(tables, start=1):
-            path = folder / "tables" / f"{self.page}_{number}.csv"
-            path.parent.mkdir(exist_ok=True)
-            with path.open("w", encoding="utf-8", newline="") as file:
-                csv.writer(file, lineterminator="\n").writerows(rows)
-        return filled
+        return text
+
+
+def keep_record(
+    records: Records, comm: MPI.Comm, case: Record, key: Record, values: Record
+) -> Record:
+    """Write and print the record of a case; see :data:`Keep` for the last two. Collective."""
+    record = records.keep(case | key, values)
+    say(json.dumps(record, ensure_ascii=False), comm)
+    return record
+
+
+def read_values(text: str) -> dict[str, str]:
+    """Read the words of ``--only``: ``level=2,pc=lumped``."""
+    words = [word.partition("=") for word in text.split(",")]
+    if not all(name and equals for name, equals, _ in words):
+        raise argparse.ArgumentTypeError(f"{text!r}: write NAME=VALUE,NAME=VALUE")
+    return {name.strip(): value.strip() for name, _, value in words}
+
+
+def select(cases: Iterable[Record], wanted: Mapping[str, str]) -> Iterator[Record]:
+    """Yield the cases that have the wanted values, as text, or raise a ValueError if none has."""
+    has_any = False
+    for case in cases:
+        if all(name in case and str(case[name]) == value for name, value in wanted.items()):
+            has_any = True
+            yield case
+    if wanted and not has_any:
+        values = ",".join(f"{name}={value}" for name, value in wanted.items())
+        raise ValueError(f"argument --only: no case has {values}; --list prints all cases")
+
+
+def shown(case: Record) -> str:
+    """Return the key of a case as ``--only`` takes it."""
+    return ",".join(f"{name}={value}" for name, value in case.items())

@@ -3,9 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The assembled counterpart of a torn system, and the solvers that FETI is compared with.
 
-Each is a dict of PETSc's options. A Krylov method is CG on a symmetric matrix and GMRES on another
-one, unless the options say otherwise, and lowers the norm of the true residual. Options have the
-prefix of the solver's name; the user's own in PETSc's database prevail.
+A solver is a dict of PETSc's options. The Krylov method is CG for a symmetric matrix and GMRES for
+any other, unless the options name one; it stops by the norm of the true residual. The options'
+prefix is the solver's name; options of the user in PETSc's database override them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from collections.abc import Mapping
 
 from petsc4py import PETSc
 
-from dolfinx_feti.runtime.connectivity import is_symmetric
 from dolfinx_feti.runtime.petsc_options import inserted
+from dolfinx_feti.torn.symmetry import is_symmetric
 
 __all__ = [
     "SOLVERS",
     "assembled_system",
     "create_solver",
+    "is_feti",
     "missing",
     "prefix_of",
     "relative_difference",
@@ -28,8 +29,8 @@ __all__ = [
     "takes_torn",
 ]
 
-#: Solvers that a comparison takes by default, and their options without prefix. Cholesky becomes LU
-#: where the matrix is not symmetric. BDDC gets the torn matrix, the others get the assembled one.
+#: Default solvers of a comparison, and their options without prefix. Cholesky becomes LU if the
+#: matrix is not symmetric. BDDC uses the torn matrix, the others use the assembled one.
 SOLVERS: dict[str, Mapping[str, object]] = {
     "feti": {},
     "mumps": {
@@ -46,10 +47,12 @@ SOLVERS: dict[str, Mapping[str, object]] = {
     },
 }
 
+#: Most iterations of a Krylov method: a choice, some twenty times what FETI needs.
 MAX_IT = 2000
 
-#: Parts of the interface of up to so many nodes are primal in BDDC as they are. PETSc's default is
-#: one dof; then set-up may fail, as a subdomain of a ragged partition is held too loosely.
+#: Parts of the interface with at most this number of nodes are primal vertices in BDDC. PETSc's
+#: default is one dof; set-up may then fail, as a subdomain of a ragged partition has too few
+#: constraints.
 VERTEX_NODES = 2
 
 
@@ -69,7 +72,8 @@ def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
         K, (N, N), marked as symmetric if the matrices of all subdomains are, with the near kernel
         and the null space of A; and f, (N,), without its part in that. The caller destroys them.
     """
-    K, f = PETSc.Mat(), b.copy()
+    K = PETSc.Mat()
+    f = b.copy()
     A.convert(PETSc.Mat.Type.AIJ, K)
     dirichlet = A.query("dirichlet")
     if dirichlet is not None:
@@ -117,11 +121,11 @@ def create_solver(
     """Set up a solver; the caller destroys it. Collective.
 
     Args:
-        A: Assembled matrix; for BDDC the torn one, of which it takes a copy.
-        solver: Its name, which makes the prefix of its options.
+        A: Assembled matrix; for BDDC the torn one, which is copied.
+        solver: Its name, which is the prefix of its options, too.
         options: Options of PETSc, without prefix; those of :data:`SOLVERS` if not given.
         rtol: Relative tolerance of a Krylov method, on the true residual.
-        symmetric: Whether the matrix is; if A is marked as symmetric where not given.
+        symmetric: Whether the matrix is symmetric; if not given, whether A is marked so.
         definite: Whether the assembled matrix is known to be symmetric positive definite.
     """
     options = dict(SOLVERS[solver] if options is None else options)
@@ -131,17 +135,20 @@ def create_solver(
         options["pc_type"] = "lu"
     if options.get("pc_factor_mat_solver_type") == "mumps" and A.getNullSpace().handle:
         options.setdefault("mat_mumps_icntl_24", 1)  # zero pivots are expected
-    torn, dirichlet = takes_torn(solver, options), None
-    if torn:
-        A, dirichlet = _with_unit_rows(A, symmetric, definite), A.query("dirichlet")
+    uses_torn = takes_torn(solver, options)
+    dirichlet = None
+    if uses_torn:
+        dirichlet = A.query("dirichlet")
+        A = _with_unit_rows(A, symmetric, definite)
         options.setdefault("pc_bddc_vertex_size", VERTEX_NODES * A.getBlockSize())
     ksp = PETSc.KSP().create(A.comm)
     ksp.setOptionsPrefix(prefix)
     ksp.setOperators(A)
     ksp.setType(PETSc.KSP.Type.CG if symmetric else PETSc.KSP.Type.GMRES)
     ksp.setTolerances(rtol=rtol, max_it=MAX_IT)
-    users = PETSc.Options(prefix)  # they prevail; options of levels and factors are read at set-up
-    with inserted(prefix, {k: v for k, v in options.items() if not users.hasName(k)}):
+    of_user = PETSc.Options(prefix)  # these override ours
+    defaults = {key: value for key, value in options.items() if not of_user.hasName(key)}
+    with inserted(prefix, defaults):  # until set-up, which reads options of levels and factors
         ksp.setFromOptions()
         if ksp.getType() not in (PETSc.KSP.Type.PREONLY, PETSc.KSP.Type.PYTHON):
             if ksp.getType() == PETSc.KSP.Type.GMRES:
@@ -150,22 +157,22 @@ def create_solver(
         pc = ksp.getPC()
         if pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU):
             pc.setFactorSetUpSolverType()
-            pc.getFactorMatrix().setOptionsPrefix(prefix)  # it was made before options are read
+            pc.getFactorMatrix().setOptionsPrefix(prefix)  # PETSc creates it without a prefix
         if dirichlet is not None:
             pc.setBDDCDirichletBoundaries(dirichlet)
         ksp.setUp()
-    if torn:
-        A.destroy()  # the KSP keeps it
+    if uses_torn:
+        A.destroy()  # the KSP has a reference
     return ksp
 
 
 def prefix_of(solver: str) -> str:
-    """Return the prefix of a solver's options, ``gamg_elasticity_`` of ``gamg-elasticity``."""
+    """Return the prefix of a solver's options, ``gamg_elasticity_`` for ``gamg-elasticity``."""
     return solver.replace("-", "_") + "_"
 
 
 def missing(options: Mapping[str, object]) -> str:
-    """Say which package the options of a solver need that this PETSc lacks; nothing if none."""
+    """Return why PETSc cannot run a solver: a missing package; an empty string if it can."""
     named = {options.get("pc_factor_mat_solver_type"), options.get("pc_type")}
     for package in ("mumps", "cholmod", "superlu_dist", "hypre", "ml"):
         if package in named and not PETSc.Sys.hasExternalPackage(package):
@@ -173,16 +180,22 @@ def missing(options: Mapping[str, object]) -> str:
     return ""
 
 
+def is_feti(solver: str, options: Mapping[str, object]) -> bool:
+    """Return True if a solver is FETI, with the options of the problem or with its own."""
+    return solver == "feti" or (bool(options) and all(key.startswith("feti_") for key in options))
+
+
 def takes_torn(solver: str, options: Mapping[str, object]) -> bool:
-    """Tell whether a solver works on the torn matrix."""
-    users = PETSc.Options(prefix_of(solver))
-    wanted = users.getString("pc_type", str(options.get("pc_type", "")))
-    return bool(wanted == PETSc.PC.Type.BDDC)
+    """Return True if a solver uses the torn matrix, which is the case for BDDC."""
+    of_user = PETSc.Options(prefix_of(solver))
+    pc_type = of_user.getString("pc_type", str(options.get("pc_type", "")))
+    return bool(pc_type == PETSc.PC.Type.BDDC)
 
 
 def _with_unit_rows(A: PETSc.Mat, symmetric: bool, definite: bool) -> PETSc.Mat:
     """Return a copy of a torn matrix with unit rows and columns at Dirichlet dofs."""
-    dirichlet, near_kernel = A.query("dirichlet"), A.getNearNullSpace()
+    dirichlet = A.query("dirichlet")
+    near_kernel = A.getNearNullSpace()
     B = A.duplicate(copy=True)
     if dirichlet is not None:
         B.zeroRowsColumns(dirichlet.getIndices(), 1.0)

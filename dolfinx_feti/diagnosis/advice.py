@@ -1,7 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Advice: each piece from one quantity that has passed a threshold (docs/diagnosing.md)."""
+"""Advice on a problem: one sentence for each quantity above or below its threshold.
+
+`docs/diagnosing.md` explains the quantities and the advice.
+"""
 
 from __future__ import annotations
 
@@ -13,26 +16,37 @@ from dolfinx_feti.feti.report import Report
 
 __all__ = ["Advice", "advise"]
 
-#: Iterations from which their time makes fewer, larger subdomains worth their factors.
+#: Iterations above which fewer, larger subdomains save more time in iterations than their factors
+#: cost.
 MANY_ITERATIONS = 100
 
-#: Mean dofs of a subdomain: below, the coarse problem costs too much; above, the factors.
-FEW_DOFS, MANY_DOFS = 500, 5000
+#: Mean dofs of a subdomain below which the coarse problem costs too much.
+FEW_DOFS = 500
 
-#: Greatest jump of the stiffness between subdomains that equal weights bear. Where subdomains meet
-#: with different numbers of cells, it is up to 550 in a body of one material (the vessel).
-JUMP = 3000.0
+#: Mean dofs of a subdomain above which the factors cost too much.
+MANY_DOFS = 5000
 
-#: Condition number above which a coarse space without soft modes is too small.
+#: Jump of the stiffness between subdomains up to which equal weights are good enough. It is up to
+#: 550 in a body of one material (the vessel), as the numbers of cells at a dof differ.
+STIFFNESS_JUMP = 3000.0
+
+#: Condition number above which a coarse space without soft modes is too small, and the dual system
+#: worse than the primal one, whose adaptive columns bound it. The dual one has 5 to 30 for easy
+#: bodies, 1e3 and more for thin plates and stiff inclusions, where the primal one has 3 to 15.
 CONDITION = 100.0
 
-#: Dofs of the subdomain that has the most, over the mean.
+#: Dofs of the largest subdomain over the mean above which, with one subdomain on each process, the
+#: others wait for half the time.
 UNEVEN = 2.0
 
-#: With more pressures than dofs, and the pressure this much stiffer than the rest, elements lock.
-PRESSURES, STIFFER = 1.0, 50.0
+#: Pressures per dof above which a nearly incompressible body locks: constraints outnumber unknowns.
+PRESSURES_PER_DOF = 1.0
 
-#: Share of the load from which on a residual that is rounding costs digits that one might want.
+#: Factor by which the condensed pressure stiffens the diagonal of a nearly incompressible body;
+#: κ = 50 μ is ν = 0.49.
+STIFFENING = 50.0
+
+#: Relative residual or error due to rounding above which fewer than six digits are left: a choice.
 ROUNDING = 1e-6
 
 
@@ -44,7 +58,7 @@ class Advice:
         text: What to do, in one sentence.
         quantity: What was measured.
         value: Its value.
-        threshold: The value that it has passed.
+        threshold: The value that it exceeds, or falls below.
     """
 
     text: str
@@ -60,37 +74,103 @@ class Advice:
 def advise(
     figures: Mapping[str, Any], report: Report, *, iterations: int, prefix: str
 ) -> list[Advice]:
-    """Derive advice from figures and the iterations of one linear solve."""
-    _, mean, most = figures["dofs of a subdomain"]
-    several, many = figures["subdomains / process"][2] > 1, iterations > MANY_ITERATIONS
-    low, high = report.eigenvalues
-    condition, jump = high / low if low > 0.0 else 0.0, figures["jump of stiffness"]
-    stiffer = figures.get("stiffer by pressures", 1.0)
-    crowded = figures.get("pressures per dof", 0.0) > PRESSURES
-    negative, size = report.inertia.assembled or 0, "mean dofs of a subdomain"
-    rules: list[tuple[object, str, str, float, float]] = [
-        (several and mean < FEW_DOFS, "Take fewer subdomains.", size, mean, FEW_DOFS),
-        (several and FEW_DOFS <= mean < MANY_DOFS and many,
-         "Take fewer subdomains.", "iterations", iterations, MANY_ITERATIONS),
-        (mean > MANY_DOFS and not many, "Take more subdomains.", size, mean, MANY_DOFS),
-        (most / mean > UNEVEN,
-         "Cut the mesh more evenly.", "largest subdomain over mean", most / mean, UNEVEN),
-        (report.options.scaling == "multiplicity" and jump > JUMP,
-         f"Weigh the copies by stiffness, -{prefix}feti_scaling stiffness.",
-         "jump of the stiffness between subdomains", jump, JUMP),
-        (report.options.coarse_modes == 0 and condition > CONDITION,
-         f"Let soft modes join the coarse space, -{prefix}feti_coarse_modes 12.",
-         "condition number", condition, CONDITION),
-        (crowded and stiffer > STIFFER,
-         "Take P2 displacements or a smaller κ: with more pressures than dofs, a nearly "
-         "incompressible body locks.",
-         "stiffness with the pressure over that without", stiffer, STIFFER),
-        (report.floor > ROUNDING,
-         "Lower a penalty such as κ, and let an augmented Lagrangian make up for it: rounding "
-         "ends the linear solve above its tolerance.",
-         "residual that is rounding", report.floor, ROUNDING),
-        (negative,
-         "Load in smaller steps: the tangent is indefinite, and CG cannot solve with it.",
-         "negative eigenvalues, at least", negative, 0),
-    ]  # fmt: skip
-    return [Advice(text, what, x, most) for holds, text, what, x, most in rules if holds]
+    """Return advice on one linear solve.
+
+    Args:
+        figures: The figures of a diagnosis, by name (``collect_figures``).
+        report: The report of the solver.
+        iterations: Krylov iterations of the solve.
+        prefix: Prefix of the solver's options.
+    """
+    return [
+        *_advise_on_subdomains(figures, iterations),
+        *_advise_on_method(figures, report, iterations, prefix),
+        *_advise_on_problem(figures, report),
+    ]
+
+
+def _advise_on_subdomains(figures: Mapping[str, Any], iterations: int) -> list[Advice]:
+    """Return advice on the number and the size of the subdomains."""
+    _, mean, largest = figures["dofs of a subdomain"]
+    has_several = figures["subdomains / process"][2] > 1
+    has_many_iterations = iterations > MANY_ITERATIONS
+    size = "mean dofs of a subdomain"
+    advice = []
+    if has_several and mean < FEW_DOFS:
+        advice.append(Advice("Take fewer subdomains.", size, mean, FEW_DOFS))
+    elif has_several and mean < MANY_DOFS and has_many_iterations:
+        text = "Take fewer subdomains."
+        advice.append(Advice(text, "iterations", iterations, MANY_ITERATIONS))
+    if mean > MANY_DOFS and not has_many_iterations:
+        advice.append(Advice("Take more subdomains.", size, mean, MANY_DOFS))
+    if largest / mean > UNEVEN:
+        quantity = "largest subdomain over mean"
+        advice.append(Advice("Cut the mesh more evenly.", quantity, largest / mean, UNEVEN))
+    return advice
+
+
+def _advise_on_method(
+    figures: Mapping[str, Any], report: Report, iterations: int, prefix: str
+) -> list[Advice]:
+    """Return advice on scaling, formulation and coarse space."""
+    lowest, highest = report.eigenvalues
+    condition = highest / lowest if lowest > 0.0 else 0.0
+    is_dual = report.formulation == "dual"
+    advice = []
+    jump = figures["jump of stiffness"]
+    if report.options.scaling == "multiplicity" and jump > STIFFNESS_JUMP:
+        text = f"Weigh the copies by stiffness, -{prefix}feti_scaling stiffness."
+        quantity = "jump of the stiffness between subdomains"
+        advice.append(Advice(text, quantity, jump, STIFFNESS_JUMP))
+    if is_dual and report.inertia.local == 0:  # else the primal formulation cannot be used
+        text = f"Take the primal formulation, {_primal(report, prefix)}."
+        if condition > CONDITION:
+            quantity = "condition number of the dual system"
+            advice.append(Advice(text, quantity, condition, CONDITION))
+        elif iterations > MANY_ITERATIONS:
+            quantity = "iterations of the dual formulation"
+            advice.append(Advice(text, quantity, iterations, MANY_ITERATIONS))
+    has_adaptive_columns = not is_dual and report.options.coarse_adaptive > 0
+    has_soft_modes = report.options.coarse_modes > 0
+    if not has_soft_modes and not has_adaptive_columns and condition > CONDITION:
+        text = f"Let soft modes join the coarse space, -{prefix}feti_coarse_modes 12."
+        advice.append(Advice(text, "condition number", condition, CONDITION))
+    return advice
+
+
+def _advise_on_problem(figures: Mapping[str, Any], report: Report) -> list[Advice]:
+    """Return advice on elements, parameters and loads."""
+    advice = []
+    stiffening = figures.get("stiffer by pressures", 1.0)
+    if figures.get("pressures per dof", 0.0) > PRESSURES_PER_DOF and stiffening > STIFFENING:
+        text = (
+            "Take P2 displacements or a smaller κ: with more pressures than dofs, a nearly "
+            "incompressible body locks."
+        )
+        quantity = "stiffness with the pressure over that without"
+        advice.append(Advice(text, quantity, stiffening, STIFFENING))
+    if report.floor > ROUNDING:
+        text = (
+            "Lower a penalty such as κ, and let an augmented Lagrangian make up for it: rounding "
+            "ends the linear solve above its tolerance."
+        )
+        advice.append(Advice(text, "residual that is rounding", report.floor, ROUNDING))
+    if report.error_floor > ROUNDING:
+        text = (
+            "Lower a penalty or a jump of the stiffness: rounding leaves an error of the solution."
+        )
+        quantity = "estimated error that is rounding"
+        advice.append(Advice(text, quantity, report.error_floor, ROUNDING))
+    negative = report.inertia.assembled or 0
+    if negative:
+        text = "Load in smaller steps: the tangent is indefinite, and CG cannot solve with it."
+        advice.append(Advice(text, "negative eigenvalues, at least", negative, 0))
+    return advice
+
+
+def _primal(report: Report, prefix: str) -> str:
+    """Return the options that select the primal formulation and its preconditioner."""
+    options = f"-{prefix}feti_formulation primal"
+    if report.options.pc_type != "dirichlet":
+        options += f" -{prefix}feti_pc_type dirichlet"
+    return options

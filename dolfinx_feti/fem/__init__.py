@@ -3,6 +3,35 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Finite elements: a mesh cut into subdomains, and forms assembled on them.
 
-In the order of the data: elements, quadrature, nodes, compiler, facets, decomposition, kernels,
-assembly, near_kernel, condensation, internal_variables, checks, content.
+Two ways lead from an integral to numbers; ``split_form`` chooses between them:
+
+=====================  ==================================  =====================================
+way                    integrals                           result
+=====================  ==================================  =====================================
+``cell_kernels``       over cells, of nodal functions,     entries of eight cells at a time, by
+                       wherever possible                   one C program that reads forms as data
+dolfinx                all others                          entries by FFCx's code, a file for
+                                                           each form
+=====================  ==================================  =====================================
+
+If a problem has condensed fields, ``condense=p``, both ways also assemble the blocks of the mixed
+tangent cell by cell, and ``condensation`` subtracts K_up K_pp⁻¹ K_pu from the local matrix.
+
+``assembly`` adds the entries of both integrators into the local matrix K, whose diagonal blocks
+belong to subdomains, and into vectors. ``torn_matrix`` wraps K for PETSc.
+
+The files by topic ("the paper" in them is Augustin, Holzapfel, Steinbach 2014):
+
+========================  =======================================================================
+elements and meshes       elements, quadrature, nodes, facets
+compilation, evaluation   cell_kernels, compiler, cell_samples
+from forms to A           decomposition, split_form, assembly, torn_matrix, near_kernel
+condensed fields          condensation
+materials with memory     internal_variables
+checks of users' forms    checks, pressures, content
+========================  =======================================================================
+
+In the order of the data: elements, quadrature, nodes, cell_kernels, compiler, cell_samples, facets,
+decomposition, split_form, assembly, torn_matrix, near_kernel, condensation, internal_variables,
+checks, pressures, content.
 """

@@ -1,13 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Internal variables: what a material remembers, as Functions with an update in UFL.
+r"""Internal variables of a material, such as damage: Functions with an update in UFL.
 
 .. math:: ξ_{n+1} = Ξ(u_{n+1}, p_{n+1}, ξ_n)
 
-at the points of each Function's own element. All Ξ are evaluated before any ξ changes. Variables in
-the balance of forces are those in the forms of the problem, and those that their Ξ depend on. The
-others only observe: they may be updated while the balance still has to be shown.
+at the points of each Function's element. All Ξ are evaluated before any ξ changes.
+
+A variable *affects the forces* if it is in the forms of the problem, or if the Ξ of such a variable
+depends on it. The other variables are only recorded, such as a largest stress. They are updated
+when a state is accepted, as that leaves it in equilibrium; those that affect the forces are updated
+when the next step begins.
 """
 
 from __future__ import annotations
@@ -27,20 +30,33 @@ from dolfinx_feti.runtime.compat import interpolation_points
 
 @dataclass(frozen=True, slots=True)
 class InternalVariables:
-    """Internal variables ξ and their updates."""
+    """Internal variables ξ and their updates.
 
-    functions: tuple[dolfinx.fem.Function, ...]  # ξ, one Function each
-    updates: tuple[dolfinx.fem.Expression, ...]  # Ξ, compiled at the points of their elements
-    balanced: tuple[bool, ...]  # whether each is in the balance of forces
+    Attributes:
+        functions: ξ.
+        updates: Ξ of each ξ, compiled at the points of its element.
+        affects_forces: Whether each ξ affects the forces.
+    """
+
+    functions: tuple[dolfinx.fem.Function, ...]
+    updates: tuple[dolfinx.fem.Expression, ...]
+    affects_forces: tuple[bool, ...]
 
     def update(self, *, balanced: bool | None = None) -> None:
-        """Let every ξ, or those that are ``balanced`` or not, be its Ξ now. Collective."""
-        found = {}
-        for ξ, update, in_balance in zip(self.functions, self.updates, self.balanced, strict=True):
-            if balanced in (None, in_balance):
-                found[ξ] = dolfinx.fem.Function(ξ.function_space)
-                found[ξ].interpolate(update)
-        for ξ, new in found.items():
+        """Set ξ to Ξ at the present state. Collective.
+
+        Args:
+            balanced: Whether the balance of forces depends on the variables to update: True for
+                those that affect the forces, whose update disturbs the equilibrium; False for the
+                others; None for all.
+        """
+        new_values = {}
+        parts = zip(self.functions, self.updates, self.affects_forces, strict=True)
+        for ξ, update, affects_forces in parts:
+            if balanced is None or balanced == affects_forces:
+                new_values[ξ] = dolfinx.fem.Function(ξ.function_space)
+                new_values[ξ].interpolate(update)
+        for ξ, new in new_values.items():
             ξ.x.array[:] = new.x.array
             ξ.x.scatter_forward()
 
@@ -51,28 +67,45 @@ def create_internal_variables(
     *,
     coefficients: Collection[dolfinx.fem.Function] = (),
 ) -> InternalVariables:
-    """Check and compile the update Ξ, of ξ's shape, of each Function ξ. Collective.
+    """Check and compile updates. Collective.
 
-    Those among the coefficients are in the balance of forces.
+    Args:
+        updates: Update Ξ of each Function ξ, of the same shape.
+        compiler: Compiler of the problem.
+        coefficients: Coefficients of the forms of the problem.
 
     Raises:
         TypeError: A key is no Function.
-        ValueError: A Function has dofs that cells share, or its update has another shape.
+        ValueError: Cells share dofs of a Function, or its update has another shape.
     """
-    on_all(lambda: _check(updates), compiler.comm)
+    on_all(lambda: _check_updates(updates), compiler.comm)
     compiled = [
         compiler.expression(update, interpolation_points(ξ.function_space))
         for ξ, update in updates.items()
     ]
-    reached = [ξ for ξ in updates if ξ in coefficients]
-    for ξ in reached:  # grows on the way
-        behind = extract_coefficients(ufl.as_ufl(updates[ξ]))
-        reached += [other for other in behind if other in updates and other not in reached]
-    return InternalVariables(tuple(updates), tuple(compiled), tuple(ξ in reached for ξ in updates))
+    in_forces = _variables_in_forces(updates, coefficients)
+    affects_forces = tuple(ξ in in_forces for ξ in updates)
+    return InternalVariables(tuple(updates), tuple(compiled), affects_forces)
 
 
-def _check(updates: Mapping[dolfinx.fem.Function, Expr]) -> None:
-    """Require discontinuous Functions, and updates of their shapes."""
+def _variables_in_forces(
+    updates: Mapping[dolfinx.fem.Function, Expr], coefficients: Collection[dolfinx.fem.Function]
+) -> list[dolfinx.fem.Function]:
+    """Return the variables among the coefficients, and all that their updates depend on."""
+    variables = [ξ for ξ in updates if ξ in coefficients]
+    for ξ in variables:  # the list grows during the loop
+        dependencies = extract_coefficients(ufl.as_ufl(updates[ξ]))
+        variables += [f for f in dependencies if f in updates and f not in variables]
+    return variables
+
+
+def _check_updates(updates: Mapping[dolfinx.fem.Function, Expr]) -> None:
+    """Check that Functions are discontinuous, and that updates have their shapes.
+
+    Raises:
+        TypeError: A key is no Function.
+        ValueError: Cells share dofs of a Function, or an update has another shape.
+    """
     for ξ, update in updates.items():
         if not isinstance(ξ, dolfinx.fem.Function):
             raise TypeError(

@@ -1,7 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What depends on the pattern of a torn matrix alone: dofs, gluing, and orders of elimination."""
+"""What depends on the pattern of a torn matrix alone: subdomains, gluing, orders of elimination.
+
+The symmetry of the values counts as part of the pattern: symbolic factors depend on it.
+"""
 
 from __future__ import annotations
 
@@ -9,104 +12,185 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
-from functools import partial
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
+import numpy as np
+
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.feti.gluing.bodies import Bodies, find_bodies
-from dolfinx_feti.feti.gluing.jump import Dofs, Gluing, sort_dofs
-from dolfinx_feti.feti.options import FETIOptions, asks_for_dual
+from dolfinx_feti.feti.interface.gluing import Gluing
+from dolfinx_feti.feti.options import PRIMAL_PC_TYPE, FETIOptions, excludes_primal
+from dolfinx_feti.feti.preconditioners.registry import PRECONDITIONERS
+from dolfinx_feti.feti.regularity.bodies import Bodies, find_bodies
 from dolfinx_feti.feti.subdomain.analysis import Analysis, analyse
-from dolfinx_feti.runtime.connectivity import has_joined_copies
+from dolfinx_feti.feti.subdomain.subdomain import Subdomain, create_subdomains
+from dolfinx_feti.feti.subsolver_options import SubsolverOptions
+from dolfinx_feti.runtime.arrays import Mask
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
+from dolfinx_feti.torn.connectivity import has_repeated_dofs
 from dolfinx_feti.torn.matrix import Torn
 
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """The symbolic part of the method; no number of a matrix is in it.
+    """The symbolic part of the method. It serves all matrices with this pattern and symmetry.
 
     Attributes:
-        options: The choices made.
-        prefix: Options prefix of the sub-solvers, ``…feti_``.
-        torn: Subdomains and copies; its products are those of the present matrix.
-        symmetric: Whether K is symmetric, which the factors rely on.
+        options: Options of the solver, with which all other parts are set up.
+        subsolvers: Options of its sub-solvers.
+        torn: Subdomains and copies. Its products use the present values of the matrix.
+        is_symmetric: Whether the values of K are symmetric, which the factors rely on; the cache
+            creates another pattern if a later matrix differs in it.
         bodies: The connected components of the assembled problem.
         gluing: The jumps B.
-        dofs: Interface and interior of each subdomain.
-        analysis: How the blocks of the subdomains are factored.
-        of_part: The same of ½ (K + Kᵀ), if K is not symmetric.
+        fixed: Mask of the torn dofs that are fixed in the local matrices, (n,): Dirichlet dofs in
+            classical FETI, none in all-floating FETI.
+        analysis: The subdomains, and how their blocks are factored.
+        symmetric_part_analysis: The same for ½ (K + Kᵀ), if K is not symmetric.
     """
 
     options: FETIOptions
-    prefix: str
+    subsolvers: SubsolverOptions
     torn: Torn
-    symmetric: bool
+    is_symmetric: bool
     bodies: Bodies
     gluing: Gluing
-    dofs: Dofs
+    fixed: Mask
     analysis: Analysis
-    of_part: Analysis | None
+    symmetric_part_analysis: Analysis | None
+
+    @property
+    def subdomains(self) -> list[Subdomain]:
+        """The subdomains of this process."""
+        return self.analysis.subdomains
 
 
-def create_pattern(A: PETSc.Mat, options: FETIOptions, prefix: str, within: Lifetime) -> Pattern:
-    """Build what depends on the pattern, for an owner of its objects. Collective.
+def create_pattern(
+    A: PETSc.Mat, options: FETIOptions, subsolvers: SubsolverOptions, pattern_objects: Lifetime
+) -> Pattern:
+    """Create all that depends on the pattern of A only. Collective.
+
+    Args:
+        A: The torn matrix, (N, N).
+        options: The options of the solver.
+        subsolvers: Options of its sub-solvers.
+        pattern_objects: Owner of the torn matrix and of B, which destroys them.
 
     Raises:
-        SetUpError: A subdomain holds two copies of a dof; or K is not symmetric, but has to be.
+        SetUpError: A subdomain has two copies of a dof, no subdomain has an entry for a dof, or K
+            is not symmetric and the options need a symmetric K.
     """
-    prefix += "feti_"
-    torn = within.own(Torn(A))
-    if has_joined_copies(A, torn.subdomains):
+    torn = pattern_objects.own(Torn(A))
+    if has_repeated_dofs(A, torn.subdomains):
         raise SetUpError(
-            "A subdomain holds two copies of a dof: the local matrix couples subdomains that "
+            "A subdomain has two copies of a dof: the local matrix couples subdomains that "
             "share it. Remove these entries, or tear the mesh so that they are one subdomain."
         )
+    _require_entries(torn)
     symmetric = torn.is_symmetric()
     if not symmetric:
-        _require_primal(options, prefix)
+        _require_primal(options, subsolvers)
     with event("FETIGluing"):
-        gluing = within.own(Gluing(torn, all_floating=options.all_floating))
-    dofs = sort_dofs(torn, gluing.glued, all_floating=options.all_floating)
-    find = partial(
-        analyse,
-        dofs=dofs,
-        choice=options.interior,
-        with_interior=options.pc_type == "dirichlet",
-        prefix=prefix,
-    )
-    of_part: Analysis | None = None
+        gluing = pattern_objects.own(Gluing(torn, all_floating=options.all_floating))
+    fixed = np.zeros(torn.n, dtype=bool) if options.all_floating else torn.dirichlet_copies
+    subdomains = create_subdomains(torn, gluing.interface_dofs, fixed)
+
+    symmetric_part_analysis: Analysis | None = None
     with event("FETIFactor"):
-        analysis = find(torn, symmetric=symmetric)
+        analysis = _analyse(torn, subdomains, options, subsolvers, symmetric=symmetric)
         if not symmetric:
-            with symmetric_part(torn) as part:
-                of_part = find(part, symmetric=True)
-    bodies = find_bodies(torn)
-    return Pattern(options, prefix, torn, symmetric, bodies, gluing, dofs, analysis, of_part)
+            with torn_symmetric_part(torn) as part:
+                symmetric_part_analysis = _analyse(
+                    part, subdomains, options, subsolvers, symmetric=True
+                )
+    return Pattern(
+        options=options,
+        subsolvers=subsolvers,
+        torn=torn,
+        is_symmetric=symmetric,
+        bodies=find_bodies(torn),
+        gluing=gluing,
+        fixed=fixed,
+        analysis=analysis,
+        symmetric_part_analysis=symmetric_part_analysis,
+    )
 
 
-def _require_primal(options: FETIOptions, prefix: str) -> None:
-    """Refuse options of which none is for an unsymmetric matrix."""
-    dual = asks_for_dual(options, prefix)
-    needed = {
-        "formulation": "primal" if dual else "",
-        "pc_type": "dirichlet" if options.pc_type != "dirichlet" else "",
-        "interior": "keep" if options.interior == "eliminate" else "",
-    }
-    if any(needed.values()):
-        use = " ".join(f"-{prefix}{name} {value}" for name, value in needed.items() if value)
+def _analyse(
+    torn: Torn,
+    subdomains: list[Subdomain],
+    options: FETIOptions,
+    subsolvers: SubsolverOptions,
+    *,
+    symmetric: bool,
+) -> Analysis:
+    """Analyse how the blocks of all subdomains are factored.
+
+    Factors of K_II are prepared if the preconditioner ``pc_type`` needs them. That of the primal
+    form, :data:`PRIMAL_PC_TYPE`, does.
+
+    Args:
+        torn: The torn matrix, or its symmetric part.
+        subdomains: The subdomains of this process.
+        options: Options of the solver.
+        subsolvers: Options of its sub-solvers.
+        symmetric: Whether the local matrix of ``torn`` is symmetric.
+    """
+    return analyse(
+        torn,
+        subdomains,
+        options.interior,
+        symmetric=symmetric,
+        needs_interior_factors=PRECONDITIONERS[options.pc_type].needs_interior_factors,
+        subsolvers=subsolvers,
+    )
+
+
+def _require_entries(torn: Torn) -> None:
+    """Raise a SetUpError if the row of a dof without a prescribed value is empty. Collective."""
+    copy_has_entries = np.repeat(np.diff(torn.graph.indptr) > 0, torn.K.getBlockSize())
+    has_entries = torn.assemble(copy_has_entries.astype(np.float64)) > 0.0
+    empty = np.flatnonzero(~has_entries & ~torn.dirichlet_dofs) + torn.A.getOwnershipRange()[0]
+    total = torn.A.getSize()[0]
+    count = torn.comm.allreduce(len(empty))
+    first = torn.comm.allreduce(int(empty.min(initial=total)), op=MPI.MIN)
+    if count:
         raise SetUpError(
-            "The matrix is not symmetric, which takes GMRES in the primal form, with the interior "
-            f"kept: use {use}."
+            f"No subdomain has an entry for {count} of the {total} dofs, the first of which is "
+            f"{first}: their rows of A are empty, and A is singular. Leave them out of the "
+            "numbering, or prescribe their values (dirichlet= of create_torn_matrix)."
+        )
+
+
+def _require_primal(options: FETIOptions, subsolvers: SubsolverOptions) -> None:
+    """Raise a SetUpError if the options rule out the method for an unsymmetric matrix."""
+    needed = {}
+    if excludes_primal(options, subsolvers):
+        needed["formulation"] = "primal"
+    if options.pc_type != PRIMAL_PC_TYPE:
+        needed["pc_type"] = PRIMAL_PC_TYPE
+    if options.interior == "eliminate":
+        needed["interior"] = "keep"
+    if needed:
+        use = " ".join(f"-{subsolvers.prefix}{name} {value}" for name, value in needed.items())
+        raise SetUpError(
+            "The matrix is not symmetric: only GMRES in the primal form, with the interior kept, "
+            f"solves with it. Use {use}."
         )
 
 
 @contextmanager
-def symmetric_part(torn: Torn) -> Iterator[Torn]:
-    """Yield the torn matrix with ½ (K + Kᵀ) and its pattern in the place of K's. Collective."""
-    part, K = copy(torn), torn.K.copy()
+def torn_symmetric_part(torn: Torn) -> Iterator[Torn]:
+    """Return a context with a torn matrix in which ½ (K + Kᵀ) replaces K. Collective.
+
+    It shares all else with the original, the star forest included: it is not to be destroyed, and
+    serves only within the context. Its subdomains are the same, as ½ (K + Kᵀ) couples the dofs that
+    K couples.
+    """
+    part = copy(torn)
+    K = torn.K.copy()
     transposed = torn.K.transpose(PETSc.Mat())
     K.axpy(1.0, transposed, structure=PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN)
     K.scale(0.5)

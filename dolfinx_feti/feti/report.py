@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The table of ``-ksp_view``: what a FETI solver has built, over all processes."""
+"""The table of ``-ksp_view``: figures of a FETI solver over all processes."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_feti.feti.lasting import Form
+from dolfinx_feti.feti.formulation import Formulation
 from dolfinx_feti.feti.options import FETIOptions
-from dolfinx_feti.feti.primal.form import PrimalForm
 from dolfinx_feti.feti.setup import Inertia
-from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
+from dolfinx_feti.feti.solve_info import SolveInfo
+from dolfinx_feti.feti.subdomain.factors.protocol import FactorInertia
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,33 +23,36 @@ class Report:
     """Figures of one FETI solver.
 
     Attributes:
-        options: The choices made.
+        options: Options of the solver.
         formulation: ``dual`` or ``primal``.
-        lag: Matrices since the one that the preconditioner belongs to.
+        age: Number of matrices since the one that the preconditioner was built for.
         subdomains: Number of subdomains.
         dofs: Dofs of the assembled problem.
         torn_dofs: Dofs of all subdomains together.
-        dofs_local: Fewest and most dofs of a subdomain.
+        dofs_local: Smallest and largest number of dofs of a subdomain.
         multipliers: Rows of B.
         kernels: Number of subdomains with a kernel of each dimension, from 0.
-        exact: Subdomains whose modes satisfy K R = 0.
-        elastic: Soft and buckling modes that joined the kernels.
+        exact: Number of subdomains whose modes satisfy K R = 0.
+        elastic: Number of soft and buckling modes in R in addition to the kernels.
         inertia: Negative eigenvalues.
         interior: Whether the interior dofs are ``kept`` or ``eliminated``.
         coarse_size: Coarse unknowns.
         coarse_solver: How the coarse problem is solved.
-        coarse_mib: Memory of the factor of the coarse matrix in MiB; None if not known.
-        coarse_inertia: Negative and zero eigenvalues of the coarse matrix; None if not known.
+        coarse_mib: Memory of the factor of the coarse matrix in MiB; None if unknown.
+        coarse_inertia: Negative eigenvalues and zero pivots of the coarse matrix; None if unknown.
         factor_mib: Memory of all local factors in MiB.
-        recycled: Ritz vectors of earlier solves, deflated in the last one.
-        recycled_mib: Their memory in MiB.
-        eigenvalues: (λ_min, λ_max) of the preconditioned operator.
-        floor: ‖b − A x‖/‖b‖ that rounding leaves, if that has ended the last solve; else nan.
+        ritz_vectors: Number of Ritz vectors that deflate the solves with the present matrix.
+        ritz_vectors_mib: Memory of these vectors in MiB.
+        eigenvalues: Ritz values (λ_min, λ_max) of the preconditioned system of the formulation.
+        residual: ‖b − A x‖/‖b − A x_D‖ of the last solve; nan before the first one.
+        floor: Residual that rounding leaves, if rounding has ended the last solve; else nan.
+        error_estimate: Estimated error η of x in the last solve; nan before the first one.
+        error_floor: η that rounding leaves, if rounding has ended the last solve; else nan.
     """
 
     options: FETIOptions
     formulation: str
-    lag: int
+    age: int
     subdomains: int
     dofs: int
     torn_dofs: int
@@ -63,29 +66,48 @@ class Report:
     coarse_size: int
     coarse_solver: str
     coarse_mib: float | None
-    coarse_inertia: Pivots
+    coarse_inertia: FactorInertia
     factor_mib: float
-    recycled: int
-    recycled_mib: float
+    ritz_vectors: int
+    ritz_vectors_mib: float
     eigenvalues: tuple[float, float]
+    residual: float
     floor: float
+    error_estimate: float
+    error_floor: float
+
+    @property
+    def lag(self) -> int:
+        """Earlier name of :attr:`age`, for scripts that use it."""
+        return self.age
+
+    @property
+    def error(self) -> float:
+        """Earlier name of :attr:`error_estimate`, for scripts that use it."""
+        return self.error_estimate
 
 
-def collect(form: Form, *, lag: int, eigenvalues: tuple[float, float], floor: float) -> Report:
-    """Gather the figures of all processes. Collective."""
-    pattern, solver = form.pattern, form.coarse.solver
-    ritz = form.deflation if isinstance(form, PrimalForm) else None
+def collect(formulation: Formulation, info: SolveInfo, *, age: int) -> Report:
+    """Compute the figures over all processes. Collective.
+
+    Args:
+        formulation: What is set up.
+        info: How the last solve has ended.
+        age: Number of matrices since the one that the preconditioner was built for.
+    """
+    pattern = formulation.pattern
+    solver = formulation.coarse.solver
     torn = pattern.torn
     comm = torn.comm
     sizes = [len(dofs) for dofs in torn.subdomains]
-    modes = form.modes
-    k = np.array([m.kernel for m in modes], dtype=np.int64)
-    widest = comm.allreduce(int(k.max(initial=0)), op=MPI.MAX)
-    kernels = comm.allreduce(np.bincount(k, minlength=widest + 1))
+    modes = formulation.modes
+    kernel_sizes = np.array([m.rigid_size + m.null_size for m in modes], dtype=np.int64)
+    largest = comm.allreduce(int(kernel_sizes.max(initial=0)), op=MPI.MAX)
+    kernels = comm.allreduce(np.bincount(kernel_sizes, minlength=largest + 1))
     return Report(
         options=pattern.options,
-        formulation=form.formulation,
-        lag=lag,
+        formulation=formulation.name,
+        age=age,
         subdomains=comm.allreduce(len(sizes)),
         dofs=torn.A.getSize()[0],
         torn_dofs=comm.allreduce(torn.n),
@@ -95,59 +117,111 @@ def collect(form: Form, *, lag: int, eigenvalues: tuple[float, float], floor: fl
         ),
         multipliers=pattern.gluing.B.getSize()[0],
         kernels=tuple(int(count) for count in kernels),
-        exact=comm.allreduce(sum(m.exact for m in modes)),
-        elastic=comm.allreduce(sum(m.R.shape[1] - m.kernel for m in modes)),
-        inertia=form.inertia,
-        interior="eliminated" if form.operator.eliminated else "kept",
-        coarse_size=form.coarse.total,
+        exact=comm.allreduce(sum(m.is_exact for m in modes)),
+        elastic=comm.allreduce(sum(m.buckling_size + m.soft_size for m in modes)),
+        inertia=formulation.inertia,
+        interior="eliminated" if formulation.operator.is_eliminated else "kept",
+        coarse_size=formulation.coarse.N_c,
         coarse_solver=str(solver),
         coarse_mib=solver.memory(),
-        coarse_inertia=solver.pivots(),
-        factor_mib=comm.allreduce(form.memory()),
-        recycled=0 if ritz is None else ritz.count,
-        recycled_mib=comm.allreduce(0.0 if ritz is None else ritz.memory()),
-        eigenvalues=eigenvalues,
-        floor=floor,
+        coarse_inertia=solver.inertia(),
+        factor_mib=comm.allreduce(formulation.memory()),
+        ritz_vectors=formulation.ritz_vector_count,
+        ritz_vectors_mib=comm.allreduce(formulation.deflation_memory()),
+        eigenvalues=info.ritz_values,
+        residual=info.accuracy.residual,
+        floor=info.accuracy.residual_floor,
+        error_estimate=info.accuracy.error_estimate,
+        error_floor=info.accuracy.error_floor,
     )
 
 
 def table(report: Report) -> str:
-    """Format a report for a PETSc viewer."""
-    o, r = report.options, report
-    kernels = ", ".join(f"{n} of dimension {k}" for k, n in enumerate(r.kernels) if n)
-    low, high = r.eigenvalues
-    condition = (
-        "not known" if np.isnan(low) or low <= 0 else f"{high / low:.4g}  ({low:.4g} … {high:.4g})"
-    )
-    details = f"dual form, Q = {o.coarse_q}"
-    if r.formulation == "primal":
-        details = f"primal form, up to {o.coarse_adaptive} adaptive columns per subdomain"
-    ago = "1 matrix ago" if r.lag == 1 else f"{r.lag} matrices ago"
-    lag = f", set up {ago}" if r.lag else ""
+    """Format a report for a PETSc viewer; the functions below format one row each."""
+    options = report.options
+    smallest, largest = report.dofs_local
     rows = [
-        ("method", f"{o.type}, {o.scaling} scaling, {details}"),
-        ("preconditioner", o.pc_type + lag),
-        ("subdomains", f"{r.subdomains}"),
-        ("dofs", f"{r.dofs}, torn {r.torn_dofs}, a subdomain {r.dofs_local[0]}–{r.dofs_local[1]}"),
-        ("kernels", f"{kernels}; {r.exact} exact; {r.elastic} elastic modes in addition"),
-        ("multipliers", f"{r.multipliers}"),
-        ("coarse size", f"{r.coarse_size}, {r.coarse_solver}"),
-        (
-            "negative eigenvalues",
-            f"{_number(r.inertia.local)} in K_ρ, {r.inertia.defect} in D, "
-            f"{_number(r.inertia.interior)} in K_II, {_number(r.coarse_inertia.negative)} in N, "
-            f"{_number(r.inertia.assembled)} at least in A",
-        ),
-        ("factors", f"{r.factor_mib:.0f} MiB, interior {r.interior}"),
-        ("condition number", condition),
+        ("method", f"{options.type}, {options.scaling} scaling, {_formulation(report)}"),
+        ("preconditioner", f"{options.pc_type}{_age(report.age)}"),
+        ("subdomains", f"{report.subdomains}"),
+        ("dofs", f"{report.dofs}, torn {report.torn_dofs}, a subdomain {smallest}–{largest}"),
+        ("kernels", _kernels(report)),
+        ("multipliers", f"{report.multipliers}"),
+        ("coarse size", f"{report.coarse_size}, {report.coarse_solver}"),
+        ("negative eigenvalues", _negative_eigenvalues(report)),
+        ("factors", f"{report.factor_mib:.0f} MiB, interior {report.interior}"),
+        ("condition number", _condition_number(report)),
     ]
-    if r.recycled:
-        rows.append(("Ritz vectors", f"{r.recycled} deflated, {r.recycled_mib:.0f} MiB"))
-    if r.floor > 0.0:
-        rows.append(("residual", f"at the floor of rounding, {r.floor:.1e} of the load"))
+    if report.ritz_vectors:
+        memory = f"{report.ritz_vectors_mib:.0f} MiB"
+        rows.append(("Ritz vectors", f"{report.ritz_vectors} deflate the solves, {memory}"))
+    if not np.isnan(report.residual):
+        rows.append(("residual", _with_floor(report.residual, report.floor, "load")))
+    if not np.isnan(report.error_estimate):
+        error = _with_floor(report.error_estimate, report.error_floor, "solution")
+        rows.append(("estimated error", error))
     return "".join(f"  {name:<22}{value}\n" for name, value in rows)
 
 
+def _formulation(report: Report) -> str:
+    """Format the formulation and what its coarse space depends on."""
+    if report.formulation == "primal":
+        columns = report.options.coarse_adaptive
+        return f"primal form, up to {columns} adaptive columns per subdomain"
+    return f"dual form, Q = {report.options.coarse_q}"
+
+
+def _age(age: int) -> str:
+    """Format the age of the preconditioner; empty for a new one."""
+    if age == 0:
+        return ""
+    return f", set up {age} {'matrix' if age == 1 else 'matrices'} ago"
+
+
+def _kernels(report: Report) -> str:
+    """Format the numbers of kernels by dimension, and of modes in addition to them."""
+    counts = [
+        f"{count} of dimension {dimension}"
+        for dimension, count in enumerate(report.kernels)
+        if count
+    ]
+    numbers = ", ".join(counts)
+    return f"{numbers}; {report.exact} exact; {report.elastic} elastic modes in addition"
+
+
+def _negative_eigenvalues(report: Report) -> str:
+    """Format the numbers of negative eigenvalues of all factored matrices, and of A."""
+    inertia = report.inertia
+    coarse_matrix = "A₀" if report.formulation == "primal" else "N"
+    return (
+        f"{_number(inertia.local)} in K_ρ, {inertia.defect} in D, "
+        f"{_number(inertia.interior)} in K_II, "
+        f"{_number(report.coarse_inertia.negative)} in {coarse_matrix}, "
+        f"{_number(inertia.assembled)} at least in A"
+    )
+
+
+def _condition_number(report: Report) -> str:
+    """Format the condition number and the Ritz values that it is the quotient of."""
+    low, high = report.eigenvalues
+    if not low > 0.0:  # also if nan
+        return "not known"
+    return f"{high / low:.4g}  ({low:.4g} … {high:.4g}) of the {report.formulation} system"
+
+
+def _with_floor(value: float, floor: float, reference: str) -> str:
+    """Format residual or error, and the floor of rounding if that has ended the solve.
+
+    Args:
+        value: Residual or error, relative to the reference.
+        floor: What rounding leaves of it; nan if rounding has not ended the solve.
+        reference: Name of what it is relative to.
+    """
+    if floor > 0.0:
+        return f"{value:.1e}, at the floor of rounding, {floor:.1e} of the {reference}"
+    return f"{value:.1e} of the {reference}"
+
+
 def _number(count: int | None) -> str:
-    """Format a number that may not be known."""
+    """Format a number that may be unknown."""
     return "unknown" if count is None else str(count)

@@ -1,9 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""What belongs to one matrix: weights, S, :math:`K_{II}^{-1}`, :math:`K_ρ^{-1}` and modes.
+r"""Numerical parts of both formulations: weights δ, S, :math:`K_{II}^{-1}`, :math:`K^+`, the modes.
 
-Both methods begin here. A later matrix has one of its own, or shares half of it (``primal``).
+S is computed for each matrix. :math:`K^+` and the modes belong to a preconditioner, which may be
+reused for later matrices (``cache``). They have separate owners, which destroy them: arguments
+``matrix_objects`` and ``preconditioner_objects``.
 """
 
 from __future__ import annotations
@@ -16,29 +18,35 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.feti.gluing.jump import weights_of_copies
+from dolfinx_feti.feti.interface.scaling import SCALINGS
 from dolfinx_feti.feti.pattern import Pattern
-from dolfinx_feti.feti.regularity.singularity import require_regular_interior
-from dolfinx_feti.feti.subdomain.blocks import on_subdomains
-from dolfinx_feti.feti.subdomain.factors.protocol import sum_known
-from dolfinx_feti.feti.subdomain.nullspace import interior_kernel
-from dolfinx_feti.feti.subdomain.operator import Operator, create_operator
-from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse, create_pseudo_inverse
+from dolfinx_feti.feti.regularity.detection import require_regular_interior
+from dolfinx_feti.feti.subdomain.factors.protocol import sum_counts
+from dolfinx_feti.feti.subdomain.failures import on_subdomains
+from dolfinx_feti.feti.subdomain.generalized_inverse import (
+    GeneralizedInverse,
+    create_generalized_inverse,
+)
+from dolfinx_feti.feti.subdomain.interior import interior_null_vectors
+from dolfinx_feti.feti.subdomain.mode_search import SoftModeOptions
+from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator, create_schur_operator
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
+from dolfinx_feti.torn.null_space import require_null_space
 
 
 @dataclass(frozen=True, slots=True)
 class Inertia:
-    """Negative eigenvalues over all processes; None where a factor does not tell.
+    """Numbers of negative eigenvalues over all processes; None if a factor does not count them.
 
     Attributes:
-        local: Those of all regularised subdomains K_ρ.
-        defect: Those of the defects D of all kernels.
-        interior: Those of all interior blocks K_II; None where none is factored, too.
-        assembled: Those that the assembled matrix is proved to have (``coarse.space``).
+        local: Sum over the regularised matrices K_ρ of all subdomains.
+        defect: Sum over the defects D of all subdomains.
+        interior: Sum over the interior blocks K_II; None also if none is factored.
+        assembled: Lower bound for the assembled matrix, which the formulations add when they have a
+            coarse space (``coarse.primal_problem``); None before.
     """
 
     local: int | None
@@ -48,120 +56,180 @@ class Inertia:
 
     @property
     def dual(self) -> int | None:
-        """Those of all K_ρ and D together; without any, CG is safe on the dual system."""
+        """Sum over all K_ρ and D. If it is zero, the dual system is definite: CG can be used."""
         return None if self.local is None else self.local + self.defect
 
     @property
-    def definite(self) -> bool:
+    def is_definite(self) -> bool:
         """Whether the dual system is known to be positive definite on balanced pairs."""
         return self.dual == 0
 
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """The parts of one matrix.
+    """The numerical parts of the method for one matrix.
 
     Attributes:
         operator: S, and K_II⁻¹.
         delta: Weight δ of every torn dof, (n,).
-        inverse: K_ρ⁻¹, and R, E, D of each subdomain.
-        inertia: Negative eigenvalues of K_ρ, D and K_II; those of the assembled matrix are not yet
-            known.
+        inverse: K⁺, with R, E and D of each subdomain.
+        inertia: Negative eigenvalues of K_ρ, D and K_II, without ``assembled``.
     """
 
-    operator: Operator
+    operator: SchurOperator
     delta: Array
-    inverse: PseudoInverse
+    inverse: GeneralizedInverse
     inertia: Inertia
 
 
 def set_up(
-    pattern: Pattern, matrix: Lifetime, preconditioner: Lifetime, *, rough: bool = False
+    pattern: Pattern,
+    matrix_objects: Lifetime,
+    preconditioner_objects: Lifetime,
+    *,
+    allow_single_precision: bool = False,
 ) -> Setup:
-    """Take the present matrix into the parts that both methods share. Collective.
+    """Compute S, the weights of the copies, K⁺ and the modes for the present matrix. Collective.
 
-    ``matrix`` owns S, and ``preconditioner`` the inverse, which is in single precision where that
-    will do if it is ``rough``.
+    Args:
+        pattern: All that depends on the pattern.
+        matrix_objects: Owner of S.
+        preconditioner_objects: Owner of K⁺.
+        allow_single_precision: Whether K⁺ serves in the preconditioner of the primal form only.
+            Single precision suffices then; in addition, the modes are chosen for a coarse space
+            with adaptive columns, which only this form has.
 
     Raises:
         SetUpError: A factorisation failed, or the matrix is singular inside of a subdomain.
     """
-    torn, options = pattern.torn, pattern.options
-    operator = set_up_operator(pattern, matrix)
+    torn = pattern.torn
+    operator = set_up_operator(pattern, matrix_objects)
     with event("FETIGluing"):
-        k = torn.stiffness() if options.scaling == "stiffness" else np.ones(torn.n)
-        delta = weights_of_copies(torn, k)
-    inverse, inertia = _invert(pattern, operator, preconditioner, rough=rough)
+        delta = SCALINGS[pattern.options.scaling](torn)
+    inverse, inertia = _set_up_inverse(
+        pattern, operator, preconditioner_objects, allow_single_precision=allow_single_precision
+    )
     return Setup(operator, delta, inverse, inertia)
 
 
-def refined(pattern: Pattern, setup: Setup, within: Lifetime) -> Setup:
-    """Return the parts with an inverse in double precision, which ``within`` owns. Collective."""
-    if not pattern.torn.comm.allreduce(setup.inverse.rough, op=MPI.LOR):
+def to_double_precision(pattern: Pattern, setup: Setup, preconditioner_objects: Lifetime) -> Setup:
+    """Return the parts with K⁺ in double precision on all processes. Collective.
+
+    Args:
+        pattern: All that depends on the pattern.
+        setup: The parts. If their K⁺ is in single precision on a process, it is freed on all.
+        preconditioner_objects: Owner of the K⁺ that replaces it.
+    """
+    if not pattern.torn.comm.allreduce(setup.inverse.is_single_precision, op=MPI.LOR):
         return setup
-    setup.inverse.destroy()
-    inverse, inertia = _invert(pattern, setup.operator, within, rough=False)
+    setup.inverse.destroy()  # frees memory now; its owner destroys it again, without effect
+    inverse, inertia = _set_up_inverse(
+        pattern, setup.operator, preconditioner_objects, allow_single_precision=False
+    )
     return replace(setup, inverse=inverse, inertia=inertia)
 
 
-def _invert(
-    pattern: Pattern, operator: Operator, within: Lifetime, *, rough: bool
-) -> tuple[PseudoInverse, Inertia]:
-    """Factor all K_ρ, and find the modes; count negative eigenvalues. Collective."""
-    torn, options = pattern.torn, pattern.options
+def _set_up_inverse(
+    pattern: Pattern,
+    operator: SchurOperator,
+    preconditioner_objects: Lifetime,
+    *,
+    allow_single_precision: bool,
+) -> tuple[GeneralizedInverse, Inertia]:
+    """Compute K⁺ with the modes of all subdomains, and count negative eigenvalues. Collective.
+
+    Args:
+        pattern: All that depends on the pattern.
+        operator: S, and K_II⁻¹.
+        preconditioner_objects: Owner of K⁺.
+        allow_single_precision: Whether K⁺ serves in a primal preconditioner only (:func:`set_up`).
+    """
+    torn = pattern.torn
     near_kernel = torn.near_kernel()
-    with event("FETIFactor"), event("FETIModes"):
-        inverse = on_subdomains(
-            lambda: create_pseudo_inverse(
-                operator,
-                pattern.dofs,
-                near_kernel,
-                soft=options.coarse_modes,
-                threshold=options.coarse_threshold,
-                rough=rough,
-                adaptive=options.coarse_adaptive > 0,
-            ),
-            torn.comm,
+    options = SoftModeOptions(
+        max_count=pattern.options.coarse_modes,
+        threshold=pattern.options.coarse_threshold,
+        # Adaptive columns belong to the primal form, whose K⁺ is a preconditioner.
+        has_adaptive_columns=allow_single_precision and pattern.options.coarse_adaptive > 0,
+    )
+
+    def create() -> GeneralizedInverse:
+        return create_generalized_inverse(
+            operator,
+            pattern.analysis,
+            near_kernel,
+            pattern.fixed,
+            options,
+            allow_single_precision=allow_single_precision,
         )
-    return within.own(inverse), Inertia(
+
+    with event("FETIFactor"), event("FETIModes"):
+        inverse = preconditioner_objects.own(on_subdomains(create, torn.comm))
+    # D of a subdomain has a negative eigenvalue for each column of its stabilisation Z.
+    defect = torn.comm.allreduce(sum(m.stabilisation.shape[1] for m in inverse.modes))
+    inertia = Inertia(
         local=sum_if_known(inverse.negative, torn.comm),
-        defect=torn.comm.allreduce(sum(m.stabilisation.shape[1] for m in inverse.modes)),
+        defect=defect,
         interior=sum_if_known(operator.negative_interior, torn.comm),
         assembled=None,
     )
+    return inverse, inertia
 
 
-def set_up_operator(pattern: Pattern, within: Lifetime) -> Operator:
-    """Return S of the present matrix, which ``within`` owns. Collective.
+def set_up_operator(pattern: Pattern, matrix_objects: Lifetime) -> SchurOperator:
+    """Compute S of the present matrix. Collective.
+
+    Args:
+        pattern: All that depends on the pattern.
+        matrix_objects: Owner of S.
 
     Raises:
-        SetUpError: A factorisation failed, or the matrix is singular inside of a subdomain.
+        SetUpError: A factorisation failed, or some K_II is singular.
     """
-    torn, dofs, analysis = pattern.torn, pattern.dofs, pattern.analysis
-    require_finite(torn)
+    torn = pattern.torn
+    analysis = pattern.analysis
     with event("FETIFactor"), event("FETISchur"):
-        operator = within.own(
-            on_subdomains(lambda: create_operator(torn, dofs, analysis), torn.comm)
-        )
-    if analysis.eliminated and analysis.interior is not None:
-        choice = analysis.interior
-        inside = on_subdomains(
-            lambda: interior_kernel(torn, dofs, choice, operator.interior_factors), torn.comm
-        )
-        require_regular_interior(torn, pattern.bodies, inside)
+        operator = on_subdomains(lambda: create_schur_operator(torn, analysis), torn.comm)
+        matrix_objects.own(operator)
+    if analysis.is_eliminated:
+        require_regular_interior_blocks(pattern, operator)
     return operator
 
 
-def require_finite(torn: Torn) -> None:
-    """Refuse NaN and Inf in the matrix. Collective."""
-    finite = np.isfinite(torn.K.norm()) and bool(np.isfinite(torn.stiffness()).all())
-    if torn.comm.allreduce(not finite, op=MPI.LOR):
+def require_regular_interior_blocks(pattern: Pattern, operator: SchurOperator) -> None:
+    """Check that all K_II are regular, so that S exists. Collective.
+
+    Raises:
+        SetUpError: Some K_II is singular.
+        SingularError: The assembled matrix is singular: a null vector of K_II exerts no force on
+            the interface.
+    """
+    torn = pattern.torn
+    if not pattern.analysis.has_interior_factors:
+        return
+    options = pattern.analysis.interior_options
+    motions = on_subdomains(
+        lambda: interior_null_vectors(torn, operator.blocks, options), torn.comm
+    )
+    require_regular_interior(torn, pattern.bodies, motions)
+
+
+def require_valid_matrix(torn: Torn) -> None:
+    """Check that the present matrix is finite, and its null space one of it. Collective.
+
+    Raises:
+        SetUpError: The matrix has entries that are NaN or Inf, or the vectors that the user has
+            attached as null space are not orthonormal or no null vectors.
+    """
+    is_finite = np.isfinite(torn.K.norm()) and bool(np.isfinite(torn.stiffness()).all())
+    if torn.comm.allreduce(not is_finite, op=MPI.LOR):
         raise SetUpError(
-            "The matrix has entries that are NaN or Inf: look at the coefficients of the form and, "
-            "in a nonlinear problem, at the last step."
+            "The matrix has entries that are NaN or Inf: check the coefficients of the form and, "
+            "in a nonlinear problem, the last step."
         )
+    require_null_space(torn)
 
 
 def sum_if_known(count: Callable[[], int | None], comm: MPI.Comm) -> int | None:
-    """Add numbers that all processes count; None if one of them is not known. Collective."""
-    return sum_known(comm.allgather(on_subdomains(count, comm)))
+    """Return the sum of a count over all processes; None if one of them has None. Collective."""
+    return sum_counts(comm.allgather(on_subdomains(count, comm)))

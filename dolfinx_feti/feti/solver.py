@@ -5,15 +5,18 @@ r"""FETI as a PETSc Krylov solver: ``-ksp_type python -ksp_python_type dolfinx_f
 
 .. math:: A = T^⊤ K T, \qquad A x = b, \qquad K u + B^⊤ λ = f, \qquad B u = c
 
-(eq. 36, Augustin_eq:classicalFetiLGS, eq. 38, Augustin_eq:AFFETI), in the dual or the primal form.
-Convergence is judged on the *assembled* system, with the prescribed values :math:`x_D` moved to the
-right-hand side: :math:`\|b - A x\| ≤ rtol \|b - A x_D\|`.
+[1, eq. 36; eq. 38] in the dual or the primal form. This file has PETSc's callbacks. A solve
+continues in ``outer_loop``, which tests convergence on the *assembled* system with the prescribed
+values :math:`x_D` moved to the right-hand side: :math:`\|b - A x\| ≤ \text{rtol} \|b - A x_D\|`,
+and :math:`\|z\| ≤ \text{rtol} \|x\|` for the preconditioned residual z (``accuracy``).
 """
 
 from __future__ import annotations
 
 import logging
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from copy import copy
 from dataclasses import replace
 
 from petsc4py import PETSc
@@ -21,43 +24,55 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.errors import SetUpError, SingularError
-from dolfinx_feti.feti.lasting import Form, Lasting
-from dolfinx_feti.feti.options import FETIOptions, check_outer_options, read_options
+from dolfinx_feti.feti.accuracy import ComponentNorms
+from dolfinx_feti.feti.cache import SolverCache
+from dolfinx_feti.feti.converged_reason import ERROR_FLOOR_WARNING, LOGGED_ROUNDING_SHARE
+from dolfinx_feti.feti.formulation import Formulation
+from dolfinx_feti.feti.lifting import RightHandSides
+from dolfinx_feti.feti.options import FETIOptions, check_petsc_options, read_options, warn_of_unread
+from dolfinx_feti.feti.outer_loop import precondition, solve_assembled
 from dolfinx_feti.feti.report import Report, collect, table
 from dolfinx_feti.feti.setup import Inertia
-from dolfinx_feti.feti.solution import CURVATURE, Solution, outer_monitor
-from dolfinx_feti.feti.subdomain.blocks import on_subdomains
-from dolfinx_feti.runtime.collective import raise_deferred
+from dolfinx_feti.feti.solve_info import SolveInfo
+from dolfinx_feti.feti.solve_settings import SolveSettings, Tolerances
+from dolfinx_feti.feti.subsolver_options import SubsolverOptions, read_subsolver_options
+from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
-from dolfinx_feti.torn.null_space import take_out
-from dolfinx_feti.torn.rounding import residual_rounding
+from dolfinx_feti.runtime.petsc_errors import garbage_collection_resumed
+from dolfinx_feti.runtime.petsc_options import unread_options
+from dolfinx_feti.torn.symmetry import is_symmetric
 
 Reason = PETSc.KSP.ConvergedReason
 logger = logging.getLogger("dolfinx_feti")
 
-#: Attribute of a KSP that prints its table once, in place of PETSc at the end of each solve.
+#: Attribute of a KSP whose table is printed once; PETSc's ``-ksp_view`` prints it after each solve.
 VIEW_ONCE = "feti_view_once"
+
+#: Attribute of a KSP whose options belong to a problem, which reports those that nothing reads.
+OPTIONS_OF_PROBLEM = "feti_options_of_problem"
 
 #: Default relative tolerance on the residual of the assembled system.
 RTOL = 1e-8
 
-#: Most fresh starts on the residual of the assembled system, and by what factor one has to lower it
-#: for another one to follow.
-RESTARTS, GAIN = 10, 0.5
+#: PETSc's default relative tolerance.
+PETSC_RTOL = 1e-5
 
-#: What the Krylov method aims at below the tolerance: it sees the residual up to rounding.
-AIM = 0.7
 
-#: Multiple of the size of its rounding errors up to which a residual is nothing else, and share of
-#: ‖b‖ above which that leaves the solution in doubt.
-ROUNDED, DOUBTFUL = 4.0, 1e-3
+def _refuse_convergence_test(ksp: PETSc.KSP) -> None:
+    """Check that the user has set no convergence test on a KSP; not collective.
 
-#: Share of a load in the null space of A that is rounding.
-COMPATIBLE = 1e-10
-
-UNBALANCED = """the load is not orthogonal to the null space of A, so that nothing balances it; \
-with A.setTransposeNullSpace, too, PETSc takes that part out of each load"""
+    Raises:
+        ValueError: There is one; it would never be called.
+    """
+    # petsc4py has no getter. It stores the test under this name in all versions under test.
+    if ksp.getAttr("__converged__") is not None:
+        raise ValueError(
+            "ksp.setConvergenceTest has no effect: FETI stops by the residual and the estimated "
+            "error of the assembled system. Leave it out, and set ksp_rtol, ksp_atol, ksp_max_it, "
+            "or a monitor, which is called."
+        )
 
 
 class FETI:
@@ -66,125 +81,212 @@ class FETI:
     The operator is the torn matrix of :func:`dolfinx_feti.create_torn_matrix`. The options are
     listed in ``docs/options.md``; the KSP's own tolerances are those of the assembled system.
 
+    All properties are results of the last set-up or solve.
+
     Attributes:
-        message: What went wrong and what helps, or an empty string.
-        iterations: Krylov iterations of the last solve, those of all attempts.
-        residual: ‖b − A x‖/‖b − A x_D‖ of the last solve.
-        rtol: Its largest value that the tolerances of the last solve allowed.
-        floor: What rounding leaves of it, if that has ended the solve; else nan.
-        singular: Whether the set-up failed because the matrix is singular.
-        refuse_indefinite: Whether a solve ends before its first iteration, with the reason
-            ``DIVERGED_INDEFINITE_MAT``, if the assembled matrix is proved to be indefinite.
-        eigenvalues: (λ_min, λ_max) of the preconditioned operator, by Lanczos from the CG
-            coefficients; nan before a CG solve.
+        message: Why the last set-up or solve failed and what helps. It is empty after a success,
+            and if a solve was refused because the matrix is indefinite (``SolveSettings``).
+        singular: Whether the last set-up failed because the matrix is singular.
+        info: Outcome of the last solve.
     """
 
-    def __init__(self, *, newton: bool = False, refuse_indefinite: bool = False) -> None:
-        """Begin with nothing set up.
+    def __init__(
+        self, *, newton: bool = False, refuse_indefinite: bool = False, lifted: bool = False
+    ) -> None:
+        """Create a context without options; they are read with those of the KSP.
 
         Args:
             newton: Whether the matrices are those of Newton's method: then preconditioner and Ritz
-                vectors serve later ones (``lasting``).
-            refuse_indefinite: See the class.
+                vectors are reused for later matrices (``cache``).
+            refuse_indefinite: Whether a solve ends before its first iteration, with the reason
+                ``DIVERGED_INDEFINITE_MAT``, if the assembled matrix is proved to be indefinite.
+            lifted: Whether right-hand sides are lifted already, like dolfinx's (``lifting``); the
+                option ``feti_right_side lifted`` has the same effect.
         """
         self.message = ""
-        self.iterations = 0
-        self.residual = self.rtol = self.floor = np.nan
         self.singular = False
-        self.eigenvalues = (np.nan, np.nan)
-        self._newton, self.refuse_indefinite = newton, refuse_indefinite
+        self.info = SolveInfo(Reason.ITERATING)
+        self._settings = SolveSettings(allow_indefinite=not refuse_indefinite)
+        self._newton = newton
+        self._lifted = lifted  # the option may add it later (setFromOptions)
+        # Newton's method assembles its own right-hand sides: their convention needs no check.
+        self._right_hand_sides = RightHandSides(are_lifted=lifted, needs_check=not newton)
         self._prefix: str | None = None  # until the options are read
-        self._lasting = Lasting(FETIOptions(), "", newton=newton)
+        self._has_checked_options = False
+        self._viewed_pattern = 0  # number of the pattern whose table has been printed
+        self._cache = SolverCache(FETIOptions(), SubsolverOptions(), newton=newton)
+
+    # -- figures of the last solve ----------------------------------------------------------------
+
+    @property
+    def iterations(self) -> int:
+        """Krylov iterations of the last solve, including those of failed attempts."""
+        return self.info.iterations
+
+    @property
+    def residual(self) -> float:
+        """‖b − A x‖/‖b − A x_D‖; nan before the first solve."""
+        return self.info.accuracy.residual
+
+    @property
+    def rtol(self) -> float:
+        """Largest :attr:`residual` that meets the tolerances; nan if the load is zero."""
+        return self.info.accuracy.rtol
+
+    @property
+    def floor(self) -> float:
+        """:attr:`residual` that rounding leaves, if rounding has ended the solve; else nan."""
+        return self.info.accuracy.residual_floor
+
+    @property
+    def error_estimate(self) -> float:
+        """Estimated error η = ‖z‖/‖x‖ with z = M (b − A x), the largest over the components.
+
+        It is nan if it was not measured.
+        """
+        return self.info.accuracy.error_estimate
+
+    @property
+    def error_floor(self) -> float:
+        """η that rounding leaves, if rounding has ended the solve; else nan."""
+        return self.info.accuracy.error_floor
+
+    @property
+    def eigenvalues(self) -> tuple[float, float]:
+        """(λ_min, λ_max) of the preconditioned operator: Ritz values of CG; nan for GMRES."""
+        return self.info.ritz_values
 
     @property
     def condition_number(self) -> float:
-        """λ_max/λ_min of the preconditioned operator."""
+        """λ_max/λ_min of the preconditioned operator; nan if :attr:`eigenvalues` are."""
         low, high = self.eigenvalues
         return high / low if low > 0.0 else np.nan
 
+    # -- what is set up, and how solves proceed ---------------------------------------------------
+
     @property
-    def form(self) -> Form | None:
-        """What is set up for the last matrix; None before the first one, and after a failure."""
-        return self._lasting.form
+    def formulation(self) -> Formulation | None:
+        """The method set up for the last matrix; None before the first one, and after a failure."""
+        return self._cache.formulation
+
+    @property
+    def form(self) -> Formulation | None:
+        """Earlier name of :attr:`formulation`, for scripts that use it."""
+        return self.formulation
 
     @property
     def age(self) -> int:
-        """Matrices since the one that the preconditioner belongs to."""
-        return self._lasting.age
+        """Number of matrices since the one that the preconditioner was built for."""
+        return self._cache.age
 
     @property
     def method(self) -> str:
-        """Krylov method; empty without a form."""
-        return "" if self.form is None else self.form.method
+        """Krylov method; empty if nothing is set up."""
+        return "" if self.formulation is None else self.formulation.method
 
     @property
     def inertia(self) -> Inertia | None:
-        """Negative eigenvalues of the last matrix; None without a form."""
-        return None if self.form is None else self.form.inertia
+        """Negative eigenvalues of the last matrix; None if nothing is set up."""
+        return None if self.formulation is None else self.formulation.inertia
 
     def renew(self) -> None:
-        """Let the next matrix have a preconditioner of its own, and no Ritz vectors."""
-        self._lasting.renew()
+        """Discard the Ritz vectors, and the preconditioner when the next matrix is set up."""
+        self._cache.invalidate()
 
-    # -- PETSc's calls ----------------------------------------------------------------------------
+    @property
+    def settings(self) -> SolveSettings:
+        """What solves may do beyond the tolerances of the KSP; see :meth:`solving_with`."""
+        return self._settings
+
+    @contextmanager
+    def solving_with(self, settings: SolveSettings) -> Iterator[None]:
+        """Return a context in which solves have other settings.
+
+        Args:
+            settings: The settings; ``replace(feti.settings, …)`` changes some of the present ones.
+        """
+        before = self._settings
+        self._settings = settings
+        try:
+            yield
+        finally:
+            self._settings = before
+
+    # -- PETSc's callbacks ------------------------------------------------------------------------
 
     def create(self, ksp: PETSc.KSP) -> None:
-        """Set defaults: no preconditioner of PETSc's own, and rtol 1e-8 where it was PETSc's 1e-5.
+        """Set defaults: no preconditioner of PETSc's, and rtol 1e-8 if it has PETSc's default.
 
-        PETSc does not tell its default from the same number set by hand: a relative tolerance of
-        1e-5 counts if it is set after the type of the KSP.
+        PETSc does not distinguish its default from the same number set by a user: set a relative
+        tolerance of 1e-5 after the type of the KSP.
         """
-        check_outer_options(ksp.getOptionsPrefix() or "")  # before PETSc reads them
+        check_petsc_options(ksp.getOptionsPrefix() or "")  # before PETSc reads them
         ksp.getPC().setType(PETSc.PC.Type.NONE)
-        if ksp.getTolerances()[0] == 1e-5:  # PETSc's default
+        rtol, *_ = ksp.getTolerances()
+        if rtol == PETSC_RTOL:
             ksp.setTolerances(rtol=RTOL)
 
     def setFromOptions(self, ksp: PETSc.KSP) -> None:
-        """Read the options under the prefix of the KSP."""
+        """Read the options under the prefix of the KSP, and free what has been set up."""
         prefix = ksp.getOptionsPrefix() or ""
         options = read_options(prefix)
+        subsolvers = read_subsolver_options(prefix)
         self.destroy()
-        self._prefix, self._lasting = prefix, Lasting(options, prefix, newton=self._newton)
+        self._prefix = prefix
+        self._cache = SolverCache(options, subsolvers, newton=self._newton)
+        self._right_hand_sides = RightHandSides(
+            are_lifted=self._lifted or options.right_side == "lifted",
+            needs_check=self._right_hand_sides.needs_check,  # the warning is logged once
+        )
+        self._has_checked_options = False
+        self._viewed_pattern = 0
 
     def setUp(self, ksp: PETSc.KSP) -> None:
-        """Build or refresh everything that depends on the matrix."""
+        """Build or update everything that depends on the matrix; a failure leaves a message."""
         if self._prefix is None:
             self.setFromOptions(ksp)
-        self.message, self.singular = "", False
-        with suppress(Exception):
-            raise_deferred()  # of a set-up that has failed in another way
+        self.message = ""
+        self.singular = False
         try:
-            self._lasting.take(ksp.getOperators()[0])
-            on_subdomains(raise_deferred, ksp.comm.tompi4py())
+            with garbage_collection_resumed(ksp):
+                self._cache.update(ksp.getOperators()[0])
         except SetUpError as error:
-            self._tell(error)
+            self._store_failure(error)
 
     def solve(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Solve A x = b; a failure is a negative converged reason with a message."""
-        self.setUp(ksp)
-        spent = 0
-        attempt = self._attempt(ksp, b, x, spent)
-        while attempt.reason < 0 and self._try_again(attempt.reason):
-            spent += attempt.iterations
-            attempt = self._attempt(ksp, b, x, spent)
-        self.iterations = spent + attempt.iterations
-        self.residual, self.rtol, self.floor = attempt.residual, attempt.rtol, attempt.floor
-        ksp.setIterationNumber(self.iterations)
-        ksp.setConvergedReason(attempt.reason)
-        if ksp.getAttr(VIEW_ONCE) and self._lasting.first_look():
-            self._print_table(ksp)
-        if attempt.reason < 0 and not self._refused() and ksp.comm.rank == 0:
-            # Newton's method takes some failures in its stride, and says what others mean.
-            level = logging.DEBUG if self._newton else logging.WARNING
-            logger.log(level, "FETI did not converge: %s", self.message)
-
-    def solveTranspose(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """Refuse: there is no transposed solve.
+        """Solve A x = b; a failure is a negative converged reason with a message.
 
         Raises:
-            NotImplementedError: Always.
+            ValueError: The KSP has a convergence test of the user's. On all processes.
         """
-        raise NotImplementedError("FETI has no transposed solve; pass the transposed matrix.")
+        with garbage_collection_resumed(ksp):
+            on_all(lambda: _refuse_convergence_test(ksp), ksp.comm.tompi4py())
+            self.setUp(ksp)  # PETSc has not called it if the entries changed without setOperators
+            with Lifetime() as owned:
+                unlifted = owned.own(self._unlifted(ksp, b))
+                info = self._solve_with_retries(ksp, unlifted, x)
+            self._store(ksp, info)
+            ksp.setIterationNumber(info.iterations)  # also if there is no formulation
+            self._warn_of_unread_options(ksp)
+            self._print_table_once(ksp)
+            self._log(ksp)
+
+    def solveTranspose(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
+        """Solve A x = b for a symmetric A, where Aᵀ x = b is the same system.
+
+        Prescribed values in b count as in :meth:`solve`.
+
+        Raises:
+            NotImplementedError: The matrix is not symmetric. On all processes.
+        """
+        self.setUp(ksp)  # ``solve`` finds the matrix unchanged, and sets nothing up again
+        if not is_symmetric(ksp.getOperators()[0]):
+            raise NotImplementedError(
+                "FETI has no transposed solve, and the matrix is not symmetric: tear the adjoint "
+                "form in another problem, LinearProblem(ufl.adjoint(a), L, bcs=bcs), where a "
+                "is the bilinear form or the tangent J."
+            )
+        self.solve(ksp, b, x)
 
     def view(self, ksp: PETSc.KSP, viewer: PETSc.Viewer) -> None:
         """Print the table of subdomains, kernels, multipliers, coarse problem and factors."""
@@ -193,181 +295,212 @@ class FETI:
             for row in table(report).splitlines(keepends=True):
                 viewer.printfASCII(row)  # the viewer indents each call
 
-    def _print_table(self, ksp: PETSc.KSP) -> None:
-        """Print who solves, how well, and the table. Collective."""
-        screen, (rtol, atol, _, max_it) = PETSc.Viewer.STDOUT(ksp.comm), ksp.getTolerances()
-        plural = "es" * (ksp.comm.size > 1)
-        screen.printfASCII(f"KSP Object: ({self._prefix}) {ksp.comm.size} MPI process{plural}\n")
+    def destroy(self, ksp: PETSc.KSP | None = None) -> None:
+        """Free everything."""
+        self._cache.destroy()
+
+    # -- parts of a solve -------------------------------------------------------------------------
+
+    def _unlifted(self, ksp: PETSc.KSP, b: PETSc.Vec) -> PETSc.Vec:
+        """Return the right-hand side without lifting, (N,), which the caller destroys. Collective.
+
+        Args:
+            ksp: The solver of this context.
+            b: Right-hand side in the user's convention, (N,); returned if nothing is set up.
+        """
+        if self.formulation is None:
+            return copy(b)  # another reference
+        torn = self.formulation.pattern.torn
+        return self._right_hand_sides.unlifted(torn, b, ksp.getOptionsPrefix() or "")
+
+    def _solve_with_retries(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> SolveInfo:
+        """Solve A x = b, and again with other parts while the cache has another way. Collective.
+
+        Args:
+            ksp: The solver of this context.
+            b: Right-hand side without lifting, (N,).
+            x: The solution, (N,), overwritten; zero if there is no formulation.
+
+        Returns:
+            Outcome of the last attempt, with the iterations of all.
+        """
+        iterations = 0
+        while True:
+            info = self._attempt(ksp, b, x, iterations)
+            iterations += info.iterations
+            try:
+                has_other_way = info.reason < 0 and self._cache.prepare_retry(
+                    info, allow_indefinite=self._settings.allow_indefinite
+                )
+            except SetUpError as error:
+                return replace(self._failed_set_up(error, x), iterations=iterations)
+            if not has_other_way:
+                return replace(info, iterations=iterations)
+
+    def _attempt(
+        self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, iterations_before: int
+    ) -> SolveInfo:
+        """Solve A x = b once with the present formulation. Collective.
+
+        Args:
+            ksp: The solver of this context.
+            b: Right-hand side without lifting, (N,).
+            x: The solution, (N,), overwritten; zero if there is no formulation, or A is refused.
+            iterations_before: Number of iterations of earlier attempts, which count for max_it.
+        """
+        formulation = self.formulation
+        if formulation is None:
+            x.set(0.0)
+            return SolveInfo(Reason.DIVERGED_PCSETUP_FAILED, message=self.message)
+        if self._is_refused():
+            x.set(0.0)
+            return SolveInfo(Reason.DIVERGED_INDEFINITE_MAT)
+        rtol, atol, _, max_it = ksp.getTolerances()
+        tolerances = Tolerances(
+            rtol, atol, max_it - iterations_before, self._cache.max_iterations_per_digit
+        )
+        try:
+            with event("FETISolve"):
+                info = solve_assembled(
+                    ksp,
+                    formulation,
+                    b,
+                    x,
+                    tolerances=tolerances,
+                    iterations_before=iterations_before,
+                    settings=self._settings,
+                )
+        except SetUpError as error:  # local work failed in an iteration
+            return self._failed_set_up(error, x)
+        self._cache.record(info)
+        return info
+
+    def _is_refused(self) -> bool:
+        """Return True if the matrix is proved to be indefinite, and such matrices are refused."""
+        is_indefinite = self.inertia is not None and bool(self.inertia.assembled)
+        return is_indefinite and not self._settings.allow_indefinite
+
+    def _failed_set_up(self, error: SetUpError, x: PETSc.Vec) -> SolveInfo:
+        """Store why a set-up has failed, set x to zero, and return the outcome."""
+        self._store_failure(error)
+        x.set(0.0)
+        return SolveInfo(Reason.DIVERGED_PCSETUP_FAILED, message=self.message)
+
+    def _store_failure(self, error: SetUpError) -> None:
+        """Store why a set-up has failed."""
+        self.message = str(error)
+        self.singular = isinstance(error, SingularError)
+
+    def _store(self, ksp: PETSc.KSP, info: SolveInfo) -> None:
+        """Store the outcome of a solve, here and in the KSP."""
+        self.info = info
+        self.message = info.message
+        ksp.setConvergedReason(info.reason)
+
+    # -- solutions composed of several solves -----------------------------------------------------
+
+    def correction(self, ksp: PETSc.KSP, r: Array) -> Array | None:
+        """Return z = M r ≈ A⁻¹ r, (N,), by one application of the preconditioner. Collective.
+
+        It costs about as much as one or two iterations, and a set-up if the matrix has changed.
+
+        Args:
+            ksp: The solver of this context.
+            r: Residual of the assembled system, zero on Dirichlet dofs, (N,).
+
+        Returns:
+            z, (N,); None if nothing can be set up for the matrix.
+
+        Raises:
+            SetUpError: Local work failed, such as a solve with a factor. On all processes.
+        """
+        self.setUp(ksp)
+        formulation = self.formulation
+        if formulation is None:
+            return None
+        with Lifetime() as owned:
+            residual = owned.own(formulation.pattern.torn.A.createVecLeft())
+            residual.array[:] = r
+            return precondition(formulation, residual)
+
+    def estimate_error(self, z: Array, references: Sequence[Array]) -> float:
+        """Return η of a correction z, the largest over the components (``accuracy``). Collective.
+
+        Args:
+            z: The correction, (N,).
+            references: Vectors that it is relative to, (N,) each; their squares are added.
+
+        Returns:
+            η; nan if nothing is set up.
+        """
+        formulation = self.formulation
+        if formulation is None:
+            return np.nan
+        # A component counts as zero only if it is tiny in all references.
+        state = np.abs(references).sum(axis=0)
+        norms = ComponentNorms(formulation.pattern.torn).for_state(state)
+        return norms.estimate_error(z, references)[0]
+
+    def store_outcome(self, ksp: PETSc.KSP, info: SolveInfo, error_tolerance: float) -> None:
+        """Store and log the outcome of a solution that was composed of several solves.
+
+        Args:
+            ksp: The solver of this context.
+            info: How the composed solve has ended (``converged_reason.composed_outcome``).
+            error_tolerance: Tolerance of η, for the log.
+        """
+        self._store(ksp, info)
+        self._log_error(ksp, error_tolerance)
+
+    # -- output for the user ----------------------------------------------------------------------
+
+    def report(self) -> Report | None:
+        """Collect the figures of ``-ksp_view``; None before the first solve. Collective."""
+        if self.formulation is None:
+            return None
+        return collect(self.formulation, self.info, age=self.age)
+
+    def _print_table_once(self, ksp: PETSc.KSP) -> None:
+        """Print the KSP's tolerances and the table, once for each pattern. Collective."""
+        if self.formulation is None or not ksp.getAttr(VIEW_ONCE):
+            return
+        if self._cache.pattern_number == self._viewed_pattern:
+            return
+        self._viewed_pattern = self._cache.pattern_number
+        screen = PETSc.Viewer.STDOUT(ksp.comm)
+        rtol, atol, _, max_it = ksp.getTolerances()
+        processes = "MPI process" if ksp.comm.size == 1 else "MPI processes"
+        screen.printfASCII(f"KSP Object: ({self._prefix}) {ksp.comm.size} {processes}\n")
         screen.printfASCII(
             f"  tolerances            rtol {rtol:g}, atol {atol:g}, max_it {max_it}\n"
         )
         self.view(ksp, screen)
 
-    def destroy(self, ksp: PETSc.KSP | None = None) -> None:
-        """Free everything."""
-        self._lasting.destroy()
+    def _warn_of_unread_options(self, ksp: PETSc.KSP) -> None:
+        """Log the options that nothing has read, once, unless a problem logs them. Collective."""
+        if self._has_checked_options or ksp.getAttr(OPTIONS_OF_PROBLEM):
+            return
+        self._has_checked_options = True
+        prefix = self._prefix or ""
+        unread = {
+            name: value
+            for name, value in unread_options(prefix).items()
+            if name.startswith(("ksp_", "feti_"))
+        }
+        warn_of_unread(prefix, unread, ksp.comm.tompi4py())
 
-    # -- the method -------------------------------------------------------------------------------
+    def _log(self, ksp: PETSc.KSP) -> None:
+        """Log a failure, or an error that rounding leaves, on the first process."""
+        if self.info.reason > 0:
+            self._log_error(ksp, self.rtol)
+        elif not self._is_refused() and ksp.comm.rank == 0:
+            logger.log(self._log_level(), "FETI did not converge: %s", self.message)
 
-    def report(self) -> Report | None:
-        """Collect the figures of ``-ksp_view``; None before the first solve. Collective."""
-        if self.form is None:
-            return None
-        return collect(self.form, lag=self.age, eigenvalues=self.eigenvalues, floor=self.floor)
+    def _log_error(self, ksp: PETSc.KSP, error_tolerance: float) -> None:
+        """Log an estimated error that rounding leaves, if it is large enough to be noticed."""
+        if self.error_floor > LOGGED_ROUNDING_SHARE and ksp.comm.rank == 0:
+            logger.log(self._log_level(), ERROR_FLOOR_WARNING, self.error_floor, error_tolerance)
 
-    def _tell(self, error: SetUpError) -> None:
-        """Keep the message of a set-up that has failed."""
-        self.message, self.singular = str(error), isinstance(error, SingularError)
-
-    def _refused(self) -> bool:
-        """Tell whether the matrix is proved to be indefinite, and nobody wants its solution."""
-        proved = self.inertia is not None and bool(self.inertia.assembled)
-        return self.refuse_indefinite and proved
-
-    def _try_again(self, reason: int) -> bool:
-        """Prepare another attempt after one has failed; tell whether there is one."""
-        try:
-            again = self._lasting.try_again(reason, saddles=not self.refuse_indefinite)
-        except SetUpError as error:
-            self._tell(error)
-            return True  # which ends with that reason
-        if again:
-            self.message = ""
-        return again
-
-    def _attempt(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, spent: int) -> Solution:
-        """Solve A x = b with what is set up, unless that is known to be in vain."""
-        form = self.form
-        if form is None:
-            x.set(0.0)
-            return Solution(Reason.DIVERGED_PCSETUP_FAILED)
-        if self._refused():
-            x.set(0.0)
-            return Solution(Reason.DIVERGED_INDEFINITE_MAT)
-        try:
-            with event("FETISolve"), Lifetime() as owned:
-                attempt = self._solve(ksp, form, b, x, owned.own(b.duplicate()), spent)
-        except SetUpError as error:  # a coarse solver that took the place of another one
-            self._tell(error)
-            x.set(0.0)
-            return Solution(Reason.DIVERGED_PCSETUP_FAILED)
-        self.eigenvalues = attempt.eigenvalues
-        self._lasting.record(attempt)
-        return attempt
-
-    def _solve(
-        self, ksp: PETSc.KSP, form: Form, b: PETSc.Vec, x: PETSc.Vec, r: PETSc.Vec, spent: int
-    ) -> Solution:
-        """Solve with a form of the method, and start afresh on the residual r until it is small."""
-        torn, delta = form.pattern.torn, form.delta
-        rtol, atol, _, max_it = ksp.getTolerances()
-        x.set(0.0)
-        if not np.isfinite(b.norm()):
-            return self._judged(Solution(Reason.DIVERGED_NANORINF), form, enough=False)
-        u_D = np.where(torn.dirichlet, torn.tear(b.array_r), 0.0)
-        x.array[:] = torn.assemble(delta * u_D)  # x_D
-        torn.residual(b, x, r)
-        scale = r.norm()
-        along = take_out(torn.A, r)
-        if along > COMPATIBLE * scale:
-            x.set(0.0)
-            incompatible = Solution(Reason.DIVERGED_NULL, residual=along / scale)
-            return self._judged(incompatible, form, enough=False)
-        target = max(rtol * scale, atol)
-        rtol = target / scale if scale > 0.0 else np.nan
-        most = self._lasting.most_iterations(max_it - spent, rtol)
-        monitor_from = outer_monitor(ksp)
-        b.copy(r)
-        x.set(0.0)
-        norm, rounding, iterations = np.inf, 0.0, 0
-        solutions: list[Solution] = []
-        for start in range(1 + RESTARTS):
-            u, solution = form.solve(
-                r,
-                u_D,
-                target=AIM * target,
-                max_it=most - iterations,
-                monitor=monitor_from(spent + iterations, show_start=spent + start == 0),
-                saddles=not self.refuse_indefinite,
-            )
-            solutions.append(solution)
-            iterations += solution.iterations
-            ksp.setIterationNumber(spent + iterations)
-            before = x.array_r.copy()
-            x.array[:] += torn.assemble(delta * u)
-            on_subdomains(raise_deferred, torn.comm)
-            torn.residual(b, x, r)
-            take_out(torn.A, r)
-            last, norm = norm, r.norm()
-            if not norm <= last:  # what was there before is better
-                x.array[:], norm = before, last
-                break
-            rounding = 0.0 if norm <= target else residual_rounding(torn, b, x)
-            enough = norm <= (ROUNDED * rounding if target < rounding else target)
-            if solution.reason < 0 or form.users_test or enough or norm > GAIN * last:
-                break
-            u_D = np.zeros_like(u_D)
-        take_out(torn.A, x)
-        ksp.setResidualNorm(norm if np.isfinite(norm) else np.inf)
-        floor, scale = ROUNDED * rounding, scale or 1.0
-        attempt = replace(
-            solutions[0],
-            reason=solutions[-1].reason,
-            iterations=iterations,
-            residual=norm / scale,
-            rtol=rtol,
-            floor=floor / scale if target < norm <= floor else np.nan,
-        )
-        return self._judged(attempt, form, enough=bool(norm <= target))
-
-    def _judged(self, attempt: Solution, form: Form, *, enough: bool) -> Solution:
-        """Return an attempt with the reason that its residual tells; a failure has a message."""
-        reason, residual = attempt.reason, attempt.residual
-        if not np.isfinite(residual):
-            reason = Reason.DIVERGED_NANORINF
-        elif enough:
-            reason = Reason.CONVERGED_RTOL
-        elif attempt.floor <= DOUBTFUL:
-            reason = Reason.CONVERGED_HAPPY_BREAKDOWN
-        elif attempt.floor > DOUBTFUL or (reason > 0 and not form.users_test):
-            reason = Reason.DIVERGED_BREAKDOWN
-        if reason < 0:
-            text = _remedy(reason, form, floor=attempt.floor).format(self._prefix)
-            if form.inertia.assembled:
-                text += (
-                    "; the assembled matrix is indefinite, with at least "
-                    f"{form.inertia.assembled} negative eigenvalue(s)"
-                )
-            self.message = f"{text} (‖b − A x‖/‖b‖ = {residual:.2e})."
-        return replace(attempt, reason=reason)
-
-
-def _remedy(reason: int, form: Form, *, floor: float) -> str:
-    """Say why a solve has failed, and what helps that is not in force."""
-    options, default = form.pattern.options, FETIOptions()
-    if floor > DOUBTFUL:
-        return (
-            f"rounding alone leaves a residual of {floor:.0e} ‖b‖, for the entries of A are too "
-            "large for b: lower a penalty such as κ (and let an augmented Lagrangian make up for "
-            "it), or scale the unknowns alike"
-        )
-    if reason == Reason.DIVERGED_NANORINF:
-        return "a NaN or Inf met the Krylov method; look at the matrix and the load"
-    if reason == Reason.DIVERGED_NULL:
-        return UNBALANCED
-    if reason == Reason.DIVERGED_MAX_IT:
-        return "no convergence within -{0}ksp_max_it iterations; raise it"
-    if reason == Reason.DIVERGED_BREAKDOWN:
-        better = [(name, getattr(default, name)) for name in ("pc_type", "scaling", "coarse_q")]
-        missing = [f"-{{0}}feti_{n} {v}" for n, v in better if getattr(options, n) != v]
-        less = "ask for less by -{0}ksp_rtol, or look at the scales of A"
-        return f"the residual stagnates; {'use ' + ' '.join(missing) if missing else less}"
-    if reason not in CURVATURE or form.method == "gmres":
-        return f"the Krylov method ended with reason {reason}"
-    remedy, asked = "use -{0}feti_formulation dual", ""
-    if form.solves_indefinite:
-        remedy = "use -{0}feti_dual_ksp_type gmres"
-        asked = f", or {form.method} was asked for although subdomains are"
-    if reason == Reason.DIVERGED_INDEFINITE_MAT:
-        return f"negative curvature: the assembled matrix is indefinite{asked}; {remedy}"
-    return f"the preconditioner is indefinite; {remedy}"
+    def _log_level(self) -> int:
+        """Return DEBUG for Newton's method, which recovers from failures and corrects errors."""
+        return logging.DEBUG if self._newton else logging.WARNING

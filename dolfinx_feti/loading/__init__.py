@@ -3,18 +3,26 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Load steps from equilibrium to equilibrium, time steps, and states that outlive a run.
 
-In the order of the data: checkpoint, state, steps, progress, fixed_point, stepper,
-motion, load_steps, unloaded, prestressed, time_steps.
+``follow_load`` (``load_steps``) and ``follow_time`` (``time_steps``) are two kinds of the same
+steps: ``stepper`` has the order of events, ``state`` what a step changes, ``step_length`` the rule
+for its length, ``problem`` what a path needs of a problem. ``unloaded`` and ``prestressed`` follow
+a load with a problem that solves another one repeatedly (``fixed_point``). Checkpoints are three
+files: ``archive`` (arrays), ``identity`` (is it this problem?) and ``checkpoint``. *A place* is a
+load or a time. *The paper* is Augustin, Holzapfel and Steinbach (2014), see docs/equations.md.
+
+In the order of the data: tolerances, archive, identity, checkpoint, places, state, load_step,
+step_length, steps, progress, problem, fixed_point, stepper, motion, dashpots, load_steps, unloaded,
+prestressed, time_steps.
 """
 
 from dolfinx_feti.loading.checkpoint import Checkpoint
+from dolfinx_feti.loading.load_step import LoadStep
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.motion import Motion
 from dolfinx_feti.loading.prestressed import prestress
-from dolfinx_feti.loading.steps import LoadStep, Steps
+from dolfinx_feti.loading.steps import Steps
 from dolfinx_feti.loading.time_steps import TimeStep, TimeSteps, follow_time
 from dolfinx_feti.loading.unloaded import unload
-from dolfinx_feti.mechanics.values import type_exports
 
 __all__ = [
     "Checkpoint",
@@ -28,5 +36,3 @@ __all__ = [
     "prestress",
     "unload",
 ]
-
-type_exports(globals())

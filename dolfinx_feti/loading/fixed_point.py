@@ -1,69 +1,165 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Problems that are fixed points U = g(U) of another one's solves, which a path follows."""
+"""Problems that are fixed points U = g(U), where each evaluation of g solves another problem.
+
+A path follows such a problem like the inner one. The wall without load (``unloaded``) and the
+prestress of an image (``prestressed``) are fixed points.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from abc import ABC, abstractmethod
+
+from petsc4py import PETSc
 
 import dolfinx
 
+from dolfinx_feti.fem.content import Content
+from dolfinx_feti.problems.equations.tangent import TangentId
 from dolfinx_feti.problems.history import NewtonStep
-from dolfinx_feti.problems.multipliers import Anderson
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
+from dolfinx_feti.runtime.anderson import Anderson
 
-__all__ = ["MOST", "FixedPoint"]
+__all__ = ["MAX_SOLVES", "FixedPoint"]
+
+#: Largest number of inner solves at a load: a bound on iterations that do not converge.
+MAX_SOLVES = 50
 
 
-#: Solves at a load, at most.
-MOST = 50
-
-
-class FixedPoint:
-    """A problem that a path follows like the NonlinearProblem inside, whose solves it iterates.
+class FixedPoint(ABC):
+    """A problem, with the interface of a NonlinearProblem, that iterates the solves of another one.
 
     Attributes:
+        u: The unknown of the inner problem.
         history: The Newton steps of all inner solves of the last solve.
-        internal_variables: None: loads on the way to a shape or a stress are no history.
+        internal_variables: An empty tuple: loads on the way to a shape or a stress are no history.
+        n_updates: Number of updates of multipliers in all inner solves of the last solve.
     """
 
     internal_variables: tuple[dolfinx.fem.Function, ...] = ()
 
     def __init__(self, problem: NonlinearProblem) -> None:
-        self._problem, self._comm = problem, problem.u.function_space.mesh.comm
-        self.history: list[NewtonStep] = []
+        """Create a fixed point of a problem's solves.
 
-    def __getattr__(self, name: str) -> Any:
-        """Be the inner problem in all else."""
-        return getattr(self._problem, name)
+        Raises:
+            ValueError: The problem has contacts.
+        """
+        if problem.has_contacts:
+            raise ValueError(
+                "The problem has contacts, whose pressure in an image is not known: any pressure "
+                "keeps the body there. State the pressure in the forms, without contacts=, for "
+                "prestress and unload."
+            )
+        self._problem = problem
+        self.u = problem.unknown
+        self._comm = self.u.function_space.mesh.comm
+        self.history: list[NewtonStep] = []
+        self.n_updates = 0
+        self._first_tangent: TangentId | None = None  # of the next inner solve
+        self._renews = True  # does the next inner solve discard the preconditioner?
+
+    # -- the interface of the inner problem --------------------------------------------------------
+
+    @property
+    def unknown(self) -> dolfinx.fem.Function:
+        """The unknown of the inner problem."""
+        return self._problem.unknown
+
+    @property
+    def content(self) -> Content:
+        """The content of the inner problem's forms."""
+        return self._problem.content
+
+    @property
+    def solver(self) -> PETSc.SNES:
+        """The Newton solver of the inner problem."""
+        return self._problem.solver
+
+    def residual_norm(self) -> float:
+        """Return ‖r‖ of the inner problem. Collective."""
+        return self._problem.residual_norm()
+
+    def linearise(self) -> TangentId:
+        """Assemble the tangent of the inner problem. Collective."""
+        return self._problem.linearise()
+
+    def warn_of_cells(self) -> None:
+        """Warn of distorted cells of the inner problem. Collective."""
+        self._problem.warn_of_cells()
+
+    def renew(self) -> None:
+        """Discard the preconditioner of the inner problem."""
+        self._problem.renew()
 
     def update_internal_variables(self, *, balanced: bool | None = None) -> None:
-        """Remember nothing."""
+        """Do nothing: internal variables stay as they are."""
+        return
 
     def begin_step(self, length: float) -> None:
-        """Depend on no length of a step."""
+        """Do nothing: no step has a duration."""
+        return
+
+    # -- the iteration -----------------------------------------------------------------------------
 
     def solve(
-        self, *, reference: float | None = None, give_up_early: bool = False, **options: Any
+        self,
+        *,
+        reference: float | None = None,
+        first_tangent: TangentId | None = None,
+        renew: bool = True,
+        give_up_early: bool = False,
+        check_cells: bool = True,
     ) -> dolfinx.fem.Function:
-        """Iterate, to the end; see :meth:`NonlinearProblem.solve`."""
+        """Iterate to the fixed point; return the unknown. Collective.
+
+        Args:
+            reference: Residual norm that the relative tolerance of inner solves refers to, as in
+                :meth:`NonlinearProblem.solve`; if not given, that of the first inner solve.
+            first_tangent: As there, for the first inner solve.
+            renew: As there, for the first inner solve.
+            give_up_early: Ignored: inner solves go on until they converge or fail.
+            check_cells: Ignored: a path calls :meth:`warn_of_cells` in accepted states.
+
+        Raises:
+            ConvergenceError: An inner solve failed, or the iteration did not converge.
+        """
         self.history = []
-        self._iterate(reference, options)
+        self.n_updates = 0
+        self._first_tangent = first_tangent
+        self._renews = renew
+        self._iterate(reference)
         return self.u
 
-    def _iterate(self, reference: float | None, options: dict[str, Any]) -> None:
-        """Solve the inner problem, at first with options, until the fixed point is found."""
-        raise NotImplementedError
+    @abstractmethod
+    def _iterate(self, reference: float | None) -> None:
+        """Solve the inner problem until the fixed point is reached. Collective.
 
-    def _solve(self, **options: Any) -> None:
-        """Solve the inner problem."""
+        Args:
+            reference: Residual norm that the relative tolerance of inner solves refers to; None for
+                that of the first one.
+        """
+
+    def _solve(self, reference: float | None = None) -> None:
+        """Solve the inner problem. Collective.
+
+        The first inner solve has the caller's tangent and preconditioner; later ones reuse the
+        preconditioner, as they differ little.
+        """
         try:
-            self._problem.solve(**options)
+            self._problem.solve(
+                reference=reference,
+                first_tangent=self._first_tangent,
+                renew=self._renews,
+                check_cells=False,
+            )
         finally:
+            self._first_tangent = None
+            self._renews = False
             self.history += self._problem.history
+            self.n_updates += self._problem.n_updates
 
     def _anderson(self, f: dolfinx.fem.Function) -> Anderson:
-        """Begin to accelerate the iteration of a function."""
+        """Return an acceleration of iterates of a Function, in which each dof counts once."""
         dofmap = f.function_space.dofmap
         return Anderson(self._comm, dofmap.index_map.size_local * dofmap.index_map_bs)

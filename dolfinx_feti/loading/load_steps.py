@@ -4,48 +4,61 @@
 r"""Load steps: from equilibrium to equilibrium, to the wanted loads (docs/load_steps.md).
 
 The first steps begin with the tangent of the last equilibrium and the residual of the new load,
-:math:`K'(U_n; t_n)\, ΔU = -r(U_n; t_{n+1})` (eq. 25, Augustin_eq:loadStepping). Once three
-equilibria are known, a parabola through them predicts the next one; where it turns a cell inside
-out, or has an indefinite tangent and a larger residual than the last equilibrium, the tangent of
-that takes its place again.
+:math:`K'(U_n; t_n)\, ΔU = -r(U_n; t_{n+1})` (eq. 25 of the paper). Once three equilibria are known,
+the parabola through them predicts the next one. If the prediction turns a cell inside out, or has
+an indefinite tangent and a larger residual than the last equilibrium, the step begins with the
+tangent of the last equilibrium again.
 
 Newton's tolerance refers to :math:`\|r(U_n; t_{n+1})\|`, as the residual of a prediction can be
-larger by orders of magnitude. FETI's preconditioner serves on from one load to the next, but for
-the step after a checkpoint: what a restart does not know, a run that goes on must not use.
+larger by orders of magnitude. FETI's preconditioner is reused from one load to the next. After a
+checkpoint it is discarded, because a restart does not have it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
-
-from petsc4py import PETSc
-
-import numpy as np
+from numbers import Real
 
 import dolfinx
 
-from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.errors import (
+    ConvergenceError,
+    InadmissibleStartError,
+    IndefiniteTangentError,
+    LinearSolverError,
+    ToolCrossedError,
+)
+from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.motion import motions_in
+from dolfinx_feti.loading.dashpots import LastDisplacements
+from dolfinx_feti.loading.load_step import LoadStep
+from dolfinx_feti.loading.motion import stop_motions
+from dolfinx_feti.loading.places import check_places
+from dolfinx_feti.loading.problem import Problem
 from dolfinx_feti.loading.state import PathState
-from dolfinx_feti.loading.stepper import ROUNDING, Problem, Stepper, check_places, loosened
-from dolfinx_feti.loading.steps import LoadStep, Steps
-from dolfinx_feti.mechanics.supports import DASHPOTS
-from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.loading.stepper import Stepper
+from dolfinx_feti.loading.steps import Steps
+from dolfinx_feti.loading.tolerances import loose_tolerances
+from dolfinx_feti.mechanics.values import require_sequence, require_type
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["follow_load"]
 
-#: Why a solve ends that begins with a state that is not admissible.
-INADMISSIBLE = PETSc.SNES.ConvergedReason.DIVERGED_FUNCTION_DOMAIN
-
-#: What helps where the tangent turns indefinite, however short the step.
+#: Remedy if the tangent is indefinite, however short the step.
 LIMIT_POINT = (
     "The tangent turns indefinite there, as at a limit point of the load: no equilibrium with a "
     "larger load is near. Prescribe a displacement or a volume in place of the load."
 )
+
+#: Remedy after other failures at the least increment.
+SMALLER_INCREMENTS = "Allow smaller increments, or refine the mesh."
+
+#: Errors whose messages name their remedy themselves.
+WITH_REMEDY = (LinearSolverError, ToolCrossedError)
+
+#: Degree of the polynomial that predicts the next equilibrium: a parabola.
+PREDICTION_DEGREE = 2
 
 
 def follow_load(
@@ -63,49 +76,55 @@ def follow_load(
 ) -> list[LoadStep]:
     """Follow the equilibrium from one load through others to the last. Collective.
 
+    A :class:`~dolfinx_feti.loading.motion.Motion` in the forms is stopped: inertia and velocities
+    are zero on the path.
+
     Args:
         problem: The nonlinear problem, in equilibrium at the load ``start``.
         set_load: Sets the load in the user's forms.
-        targets: Loads to be met exactly, one after the other.
+        targets: Loads to be met exactly, one after the other. A target that differs from the load
+            before it by rounding alone, as 3 * 0.1 from 0.3, takes no step.
         steps: How to choose the increments.
-        state: Functions that a solve changes beside u and what is condensed: these are known, as
-            are internal variables and dashpots, which advance by themselves after ``on_step``.
+        state: Functions that a solve changes in addition to u and condensed fields. Like these they
+            are predicted by a parabola, restored after a failure, and written to the checkpoint.
+            Internal variables and dashpots need not be listed: they advance after ``on_step``.
         start: The present load.
         unloading: Whether the load may turn back on its way through the targets.
         on_step: Called in each new equilibrium on all processes, for output; the order of events is
             that of :mod:`~dolfinx_feti.loading.stepper`.
-        checkpoint: Where each new equilibrium is kept, after ``on_step`` is called. If it was
-            opened to restart, the state in it takes the place of the present one and of
-            ``start``, and the targets it has met before are left out.
-        unit: Name of the load's unit, for the bar that shows the progress on a terminal and for the
-            line that each step leaves in the log (logger ``dolfinx_feti``, level ``INFO``).
+        checkpoint: Where each new equilibrium is written, after ``on_step`` is called. If it was
+            opened to restart, its state replaces the present one and ``start``, and targets that
+            were met before are skipped.
+        unit: Name of the load's unit, for the progress bar on a terminal and for the line that each
+            step writes to the log (logger ``dolfinx_feti``, level ``INFO``).
 
     Returns:
         The accepted steps, those before a restart included.
 
     Raises:
+        TypeError: An argument has a wrong type.
         ValueError: A load is not a finite number, the load turns back although ``unloading`` is
             False, or a checkpoint is one of another problem.
         OSError: A checkpoint cannot be written; state and load are those of the last equilibrium.
-        ConvergenceError: No step of the least increment leads on; state and load are those of the
-            last equilibrium.
-        BaseException: What ``set_load`` or ``on_step`` raise, on all processes if on one;
+        ConvergenceError: A step of the least increment failed; state and load are those of the last
+            equilibrium.
+        BaseException: Errors of ``set_load`` or ``on_step``, on all processes if on one;
             KeyboardInterrupt or SystemExit after Ctrl-C or SIGTERM. The state is the last one.
     """
-    comm = problem.u.function_space.mesh.comm
-    on_all(lambda: check_places(start, targets, unloading=unloading), comm)
-    return _Loads(problem, set_load, steps, state, start).follow(
-        targets, on_step=on_step, checkpoint=checkpoint, unit=unit
-    )
+    if not isinstance(problem, Problem):
+        raise TypeError(f"problem is {problem!r}: give a NonlinearProblem.")
+    require_type(Steps, steps=steps)
+    require_sequence(Real, targets=targets)
+    require_sequence(dolfinx.fem.Function, state=state)
+    require_type((Checkpoint, type(None)), checkpoint=checkpoint)
+    comm = problem.unknown.function_space.mesh.comm
+    on_all(partial(check_places, start, targets, steps.least, unloading=unloading), comm)
+    stepper = _LoadStepper(problem, set_load, steps, state, start)
+    return stepper.follow(targets, on_step=on_step, checkpoint=checkpoint, unit=unit)
 
 
-class _Loads(Stepper):
-    """Equilibria; a parabola through the last three of them predicts the next one."""
-
-    order = 2
-    kind = LoadStep
-    name, missed = "follow_load", "No equilibrium was found beyond a load of"
-    remedy = "Allow smaller increments, or refine the mesh."
+class _LoadStepper(Stepper[LoadStep]):
+    """Steps between equilibria, which the parabola through the last three predicts."""
 
     def __init__(
         self,
@@ -115,76 +134,96 @@ class _Loads(Stepper):
         unknowns: Sequence[dolfinx.fem.Function],
         start: float,
     ) -> None:
-        self._dashpots = {
-            last: dashpot.u
-            for last in problem.content.coefficients
-            for dashpot in DASHPOTS.get(last, ())
-            if isinstance(dashpot.u, dolfinx.fem.Function)
-        }
-        histories = [*problem.internal_variables, *self._dashpots]
-        state = PathState(start, problem.content, unknowns, histories)
-        super().__init__(problem, set_load, steps, state)
+        """Create the stepper in an equilibrium; see :func:`follow_load`. Collective."""
+        constants = problem.content.constants
+        stop_motions(constants)
+        comm = problem.unknown.function_space.mesh.comm
+        # with dolfinx's compiler options: interpolated once a step, if at all
+        self._last_displacements = LastDisplacements(constants, Compiler(comm))
+        histories = [*problem.internal_variables, *self._last_displacements.functions]
+        state = PathState(start, problem.content, unknowns, histories, n_earlier=PREDICTION_DEGREE)
+        super().__init__(
+            problem,
+            set_load,
+            steps.length_rule(),
+            state,
+            step_type=LoadStep,
+            function_name="follow_load",
+            failure="No equilibrium was found beyond a load of",
+            kind="load",
+        )
         self._steps = steps
 
-    def _begin(self, targets: Sequence[float], *, restarted: bool) -> None:
-        """Let the state be one of rest."""
-        for motion in motions_in(self._problem.content.coefficients):
-            motion.stop()
-        if not restarted:
-            self._advance()
+    def _begin(self, targets: Sequence[float], *, is_restarted: bool) -> None:
+        """Set the last displacements of dashpots, unless a restart has read them. Collective."""
+        if not is_restarted:
+            self._last_displacements.advance()
 
     def _advance(self) -> None:
-        """Let dashpots take the present displacement for the last one."""
-        for last, u in self._dashpots.items():
-            last.x.array[:] = u.x.array
+        """Set the last displacements of dashpots to the present ones. Collective."""
+        self._last_displacements.advance()
 
     def _remedy(self, error: ConvergenceError) -> str:
-        """Say what helps: the linear solver says it itself; at a limit point no increment does."""
-        if "the linear solver: " in str(error):
+        if isinstance(error, WITH_REMEDY):
             return ""
-        if "indefinite" in str(error) or any(step.indefinite for step in self._problem.history):
+        was_indefinite = any(step.indefinite for step in self._problem.history)
+        if was_indefinite or isinstance(error, IndefiniteTangentError):
             return LIMIT_POINT
-        return self.remedy
+        return SMALLER_INCREMENTS
 
     def _is_met(self, target: float) -> bool:
-        return self.at == target and (self._steps.rtol is None or self._met[-1] == target)
+        return self.at == target
 
-    def _arrive(self, step: dict[str, Any]) -> LoadStep:
-        """Let the increment grow after a quick step."""
-        found = LoadStep(**step)
-        extra = max(len(self._problem.volume_changes) - 1, 0)  # a step for each multiplier
-        tangents = sum(step.tangent_lag == 0 for step in found.history)
-        if found.failures == 0 and tangents - extra <= self._steps.quick:
-            self._length = max(self._length, self._steps.growth * abs(found.increment))
-        return found
+    def _has_loose_tolerance(self, to: float, target: float) -> bool:
+        return to != target and self._steps.rtol is not None
+
+    def _complete(self, step: LoadStep) -> LoadStep:
+        return step
 
     def _attempt(self, to: float, target: float) -> None:
-        """Solve from a prediction, or else with the tangent of the last equilibrium."""
-        early = abs(to - self.at) > self._steps.least * (1.0 + ROUNDING)  # it can be shortened
-        solve = partial(self._problem.solve, renew=False, give_up_early=early)
-        rough = (self._steps.rtol, self._steps.linear_rtol) if to != target else (None, None)
-        rtol, linear_rtol = (tolerance or 0.0 for tolerance in rough)
-        with loosened(self._problem.solver, rtol=rtol, linear_rtol=linear_rtol):
-            if len(self._past) > self.order:
-                self._set_place(to)
-                reference = self._problem.residual_norm()
-                self.state.set(self._predicted(to))
-                try:
-                    solve(reference=reference)
-                    return
-                except ConvergenceError:
-                    if self._problem.solver.getConvergedReason() != INADMISSIBLE:
-                        raise
-                self._set_place(self.at)
-                self._back()
-            tangent = self._problem.linearise()
+        """Solve from a prediction, or else with the tangent of the last equilibrium. Collective."""
+        rtol = 0.0  # raises no tolerance of the solver
+        linear_rtol = 0.0
+        if to != target:
+            rtol = self._steps.rtol or 0.0
+            linear_rtol = self._steps.linear_rtol or 0.0
+        with loose_tolerances(self._problem.solver, rtol=rtol, linear_rtol=linear_rtol):
+            if self.state.can_extrapolate() and self._solve_from_prediction(to):
+                return
+            tangent = self._problem.linearise()  # before the load grows: K'(U_n; t_n)
             self._set_place(to)
-            solve(first_tangent=tangent)
+            self._problem.solve(
+                first_tangent=tangent,
+                renew=False,
+                give_up_early=self._can_shorten(to),
+                check_cells=False,
+            )
 
-    def _predicted(self, load: float) -> list[Array]:
-        """Extend the polynomial through the unknowns of equilibria to another load."""
-        t = np.array([place.at for place in self._past])
-        rest = [np.delete(t, i) for i in range(len(t))]
-        w = [np.prod((load - s) / (here - s)) for here, s in zip(t, rest, strict=True)]
-        columns = zip(*map(self.state.unknowns, self._past), strict=True)
-        return [sum(a * array for a, array in zip(w, arrays, strict=True)) for arrays in columns]
+    def _solve_from_prediction(self, to: float) -> bool:
+        """Solve from the parabola through the last equilibria. Collective.
+
+        Returns:
+            False if the prediction is not admissible; the state is the last equilibrium then.
+
+        Raises:
+            ConvergenceError: The solve failed for another reason.
+        """
+        self._set_place(to)
+        reference = self._problem.residual_norm()
+        self.state.extrapolate(to)
+        try:
+            self._problem.solve(
+                reference=reference,
+                renew=False,
+                give_up_early=self._can_shorten(to),
+                check_cells=False,
+            )
+        except InadmissibleStartError:
+            self._set_place(self.at)
+            self._restore()
+            return False
+        return True
+
+    def _can_shorten(self, to: float) -> bool:
+        """Return True if a failed step to a load can be repeated with a smaller increment."""
+        return not self.length.is_least(abs(to - self.at), self.at)

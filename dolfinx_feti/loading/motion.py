@@ -4,7 +4,8 @@
 r"""Motion with inertia: the generalised-α method in the form of Arnold and Brüls (2007).
 
 Forces are balanced at the end of a step, by the acceleration ü there, and Newmark's formulas take
-another one, a, which follows ü with the numerical damping of Chung and Hulbert (1993):
+another one, the algorithmic acceleration a, which follows ü with the numerical damping of Chung and
+Hulbert (1993):
 
 .. math:: M \ddot u_{n+1} + F(u_{n+1}, v_{n+1};\, t_{n+1}) = 0, \qquad
           (1 - α_m)\, a_{n+1} + α_m a_n = (1 - α_f)\, \ddot u_{n+1} + α_f \ddot u_n, \\
@@ -19,12 +20,17 @@ The unknown of the problem is u_{n+1}, in which mass and damping are affine:
 With the spectral radius ρ_∞ at high frequencies, α_m = (2 ρ_∞ − 1)/(ρ_∞ + 1), α_f = ρ_∞/(ρ_∞ + 1),
 γ = ½ − α_m + α_f and β = ¼ (1 − α_m + α_f)²: of second order. As a is the acceleration at the time
 t + (α_m − α_f) Δt, the distance a − ü is scaled with Δt where that changes, which keeps the order.
+
+The factors c and d are Constants of the user's forms (:class:`InertiaFactor`,
+:class:`RateFactor`). A path finds them there: so ``follow_load`` stops the inertia and the
+velocities of forms even if their Motion does not exist any more, which is why the factors own what
+is to be stopped.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from weakref import WeakKeyDictionary, ref
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -39,15 +45,87 @@ from ufl.core.expr import Expr
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.assembly import assemble_owned
-from dolfinx_feti.mechanics.supports import DASHPOTS
+from dolfinx_feti.mechanics.supports import DashpotFactor, dashpots_in
 from dolfinx_feti.mechanics.values import require_positive, require_within
 from dolfinx_feti.runtime.arrays import Array, Indices
+from dolfinx_feti.runtime.lifetime import Lifetime
 
-__all__ = ["Motion", "fixed_dofs", "motions_in"]
+__all__ = ["Motion", "dirichlet_dofs", "stop_motions"]
+
+#: Relative tolerance of the solve with the mass matrix for the initial acceleration: far below that
+#: of Newton's method, as the solve is cheap (CG with Jacobi's preconditioner, once a path).
+MASS_RTOL = 1e-12
+
+#: Largest number of iterations of that solve. The condition number of a mass matrix, scaled by its
+#: diagonal, does not depend on the mesh size (Wathen 1987), and a few dozen iterations are enough:
+#: more mean a density that is not positive.
+MASS_MAX_ITERATIONS = 500
 
 
-#: Of the mass matrix' own solve, which a Jacobi preconditioner serves.
-MASS_RTOL, MASS_ITERATIONS = 1e-12, 500
+@dataclass(frozen=True, slots=True)
+class DrivenDashpot:
+    """Function and Constant that a motion sets, so that a dashpot's (w − w⁰)/Δt is the velocity."""
+
+    last: dolfinx.fem.Function  # w⁰
+    time_step: dolfinx.fem.Constant  # Δt [s]
+
+
+class RateFactor(dolfinx.fem.Constant):
+    """The factor d in a velocity d (u − û); zero in equilibria, in which that velocity is zero.
+
+    Attributes:
+        reference: û, a Function in the space of u.
+        dashpots: Dashpots whose rate is that velocity: their last displacement is û and their time
+            step 1/d.
+    """
+
+    def __init__(self, V: dolfinx.fem.FunctionSpace) -> None:
+        """Create the factor of a body at rest, without dashpots.
+
+        Args:
+            V: Space of u.
+        """
+        super().__init__(V.mesh, np.float64(0.0))
+        self.reference = dolfinx.fem.Function(V)
+        self.dashpots: list[DrivenDashpot] = []
+
+    def set(self, d: float, reference: Array) -> None:
+        """Set the velocity to d (u − û).
+
+        Args:
+            d: Factor [1/s], positive.
+            reference: Values of û, with ghosts.
+        """
+        self.value = d
+        self.reference.x.array[:] = reference
+        for dashpot in self.dashpots:
+            dashpot.last.x.array[:] = reference
+            dashpot.time_step.value = 1.0 / d
+
+    def stop(self) -> None:
+        """Set the velocity to zero, and detach the dashpots, which then do not resist."""
+        self.value = 0.0
+        for dashpot in self.dashpots:
+            dashpot.time_step.value = np.inf
+        self.dashpots = []
+
+
+class InertiaFactor(dolfinx.fem.Constant):
+    """The factor c in the inertia ½ ∫ ρ c (u − ũ)², zero in equilibria.
+
+    Attributes:
+        rate: d of the same motion.
+    """
+
+    def __init__(self, rate: RateFactor) -> None:
+        """Create the factor of a body at rest."""
+        super().__init__(rate.ufl_domain(), np.float64(0.0))
+        self.rate = rate
+
+    def stop(self) -> None:
+        """Set inertia and velocity in the forms to zero."""
+        self.value = 0.0
+        self.rate.stop()
 
 
 class Motion:
@@ -63,7 +141,7 @@ class Motion:
         u: The displacement.
         velocity: v of the last state, a Function; an initial velocity is set here.
         acceleration: ü of the last state, a Function, with which forces are in balance.
-        filtered: a of the last state, a Function.
+        algorithmic_acceleration: a of the last state, a Function.
         dt: Δt, a Constant, for materials whose memory fades with time.
         inertia: Form ½ ∫ ρ c (u − ũ)², to be added to an energy; its derivative is added to a
             residual, and its second derivative to a tangent.
@@ -71,154 +149,226 @@ class Motion:
     """
 
     def __init__(self, u: dolfinx.fem.Function, density: float | Expr, *, rho: float = 0.8) -> None:
-        """Begin at rest.
+        """Create the motion of a body at rest.
 
         Args:
             u: The displacement.
-            density: Mass per reference volume, ρ; in kg/mm³ with mm, kPa and s.
-            rho: Spectral radius ρ_∞, from 0, which damps high frequencies in a step, to 1.
+            density: Mass per reference volume, ρ in the formulas; in kg/mm³ with mm, kPa and s.
+            rho: Spectral radius ρ_∞ at high frequencies, from 0, which damps them in a step, to 1,
+                which does not damp them.
 
         Raises:
             ValueError: ``rho`` is not between 0 and 1, or ``density`` not positive.
         """
+        spectral_radius = rho  # the letter ρ alone is the density
         require_within(0.0, 1.0, {"rho": rho}, remedy="a spectral radius between 0 and 1", sign="=")
         require_positive(density=density)
         V = u.function_space
         self.u = u
         self.velocity = dolfinx.fem.Function(V, name="velocity")
         self.acceleration = dolfinx.fem.Function(V, name="acceleration")
-        self.filtered = dolfinx.fem.Function(V, name="filtered_acceleration")
-        self.dt, self._c, self._d = (
-            dolfinx.fem.Constant(V.mesh, np.float64(0.0)) for _ in range(3)
-        )
-        self._ahead, self._behind = dolfinx.fem.Function(V), dolfinx.fem.Function(V)  # ũ, û
-        self._α_m, self._α_f = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
+        self.algorithmic_acceleration = dolfinx.fem.Function(V, name="algorithmic_acceleration")
+        self.dt = dolfinx.fem.Constant(V.mesh, np.float64(0.0))
+        self._rate_factor = RateFactor(V)  # d
+        self._inertia_factor = InertiaFactor(self._rate_factor)  # c
+        self._inertial_reference = dolfinx.fem.Function(V)  # ũ
+        self._α_m = (2.0 * spectral_radius - 1.0) / (spectral_radius + 1.0)
+        self._α_f = spectral_radius / (spectral_radius + 1.0)
         self._γ = 0.5 - self._α_m + self._α_f
         self._β = 0.25 * (1.0 - self._α_m + self._α_f) ** 2
-        self._last: Array = u.x.array.copy()  # u_n
-        self._free: Array = self._last  # u_{n+1} without a_{n+1}
-        self._dashpots: list[tuple[dolfinx.fem.Function, dolfinx.fem.Constant]] = []
+        self._u_n: Array = u.x.array.copy()  # u_n
+        self._u_explicit: Array = self._u_n  # explicit part of u_{n+1}
         self._density = density
-        difference, v = u - self._ahead, self.velocity
-        self.inertia = density * self._c / 2 * ufl.inner(difference, difference) * ufl.dx
-        self.rate = self._d * (u - self._behind)
+        difference = u - self._inertial_reference
+        v = self.velocity
+        self.inertia = (
+            density * self._inertia_factor / 2 * ufl.inner(difference, difference) * ufl.dx
+        )
+        self.rate = self._rate_factor * (u - self._rate_factor.reference)
         self._kinetic = dolfinx.fem.form(density / 2 * ufl.inner(v, v) * ufl.dx)
-        MOTIONS[self._ahead] = ref(self)
 
     @property
-    def changes(self) -> list[dolfinx.fem.Function]:
-        """The Functions that a restart needs, beside u."""
-        return [self.velocity, self.acceleration, self.filtered]
+    def histories(self) -> list[dolfinx.fem.Function]:
+        """The Functions that a restart needs in addition to u."""
+        return [self.velocity, self.acceleration, self.algorithmic_acceleration]
 
     @property
-    def numbers(self) -> list[dolfinx.fem.Constant]:
-        """The Constants that a step changes, those of the dashpots that it drives among them."""
-        return [self.dt, self._c, self._d, *(time_step for _, time_step in self._dashpots)]
+    def constants(self) -> list[dolfinx.fem.Constant]:
+        """The Constants that a step changes, including time steps of attached dashpots."""
+        time_steps = (dashpot.time_step for dashpot in self._rate_factor.dashpots)
+        return [self.dt, self._inertia_factor, self._rate_factor, *time_steps]
 
-    def drive(self, coefficients: Sequence[dolfinx.fem.Function]) -> None:
-        """Let dashpots of this displacement, by Functions of the forms, resist its velocity.
+    def is_only_inertia_in(self, constants: Iterable[dolfinx.fem.Constant]) -> bool:
+        """Return True if forms with these Constants contain this inertia, and no other one."""
+        factors = [constant for constant in constants if isinstance(constant, InertiaFactor)]
+        return len(factors) == 1 and factors[0] is self._inertia_factor
+
+    def attach_dashpots(self, constants: Iterable[dolfinx.fem.Constant]) -> None:
+        """Make the dashpots of forms with these Constants resist the velocity.
 
         Raises:
-            ValueError: The time step of a dashpot is a number, or its displacement another one.
+            ValueError: The time step of a dashpot is no Constant, its displacement is not u, or its
+                last displacement is no Function in the space of u.
         """
-        self._dashpots = []
-        for last, found in ((f, dashpot) for f in coefficients for dashpot in DASHPOTS.get(f, ())):
-            if found.u is not self.u or not isinstance(found.time_step, dolfinx.fem.Constant):
-                raise ValueError(
-                    "A dashpot of another displacement, or with a number as its time step, cannot "
-                    "follow the motion: give it the displacement of the Motion and a Constant."
-                )
-            self._dashpots.append((last, found.time_step))
+        self._rate_factor.dashpots = [self._driven(dashpot) for dashpot in dashpots_in(constants)]
+
+    def _driven(self, dashpot: DashpotFactor) -> DrivenDashpot:
+        """Return the Function and the Constant to set in a dashpot; errors as above."""
+        u = dashpot.u
+        last = dashpot.last
+        time_step = dashpot.time_step
+        if u is not self.u:
+            raise ValueError(
+                f"A dashpot of {u} cannot follow the motion of {self.u}: give dashpot_energy the "
+                "displacement of the Motion itself."
+            )
+        if not isinstance(time_step, dolfinx.fem.Constant):
+            raise ValueError(
+                f"A dashpot with a number as its time step, time_step={time_step}, cannot follow "
+                "the motion: give a dolfinx.fem.Constant, which follow_time sets."
+            )
+        V = self.u.function_space
+        if not isinstance(last, dolfinx.fem.Function) or last.function_space != V:
+            raise ValueError(
+                f"A dashpot with last={last} cannot follow the motion: give a Function of its own "
+                "in the space of the displacement."
+            )
+        return DrivenDashpot(last, time_step)
 
     def stop(self) -> None:
-        """Leave inertia and rates out, for equilibria."""
-        self._c.value = self._d.value = 0.0
-        for _, time_step in self._dashpots:
-            time_step.value = np.inf
+        """Set inertia and rates in the forms to zero, for equilibria."""
+        self._inertia_factor.stop()
 
-    def hold(self) -> None:
-        """Let inertia and rates be those of the last state, with the present u."""
-        c, d = float(self._c.value), float(self._d.value) or 1.0
-        ahead = self.acceleration.x.array / c if c > 0.0 else 0.0
-        self._ahead.x.array[:] = self.u.x.array - ahead
-        self._set_rate(d, self.u.x.array - self.velocity.x.array / d)
+    def set_to_last_state(self) -> None:
+        """Set ũ and û so that the present u has the acceleration and velocity of the last state."""
+        u = self.u.x.array
+        c = float(self._inertia_factor.value)
+        # u − û = v/d: with any positive d, û gives v; zero is the factor before the first step
+        d = float(self._rate_factor.value) or 1.0
+        self._inertial_reference.x.array[:] = u
+        if c > 0.0:
+            self._inertial_reference.x.array[:] -= self.acceleration.x.array / c  # ũ = u − ü/c
+        self._rate_factor.set(d, u - self.velocity.x.array / d)  # û = u − v/d
 
-    def start(self, residual: dolfinx.fem.Form, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
-        """Let the initial acceleration balance the forces, those of dashpots too, M ü = −F(u, v).
+    def balance(self, residual: dolfinx.fem.Form, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
+        """Compute the initial acceleration that balances all forces, M ü = −F(u, v). Collective.
 
-        Dofs under conditions keep the acceleration that they have. A density that is not positive
-        is a ConvergenceError. Collective.
+        Args:
+            residual: Residual of the problem, with forces of dashpots.
+            bcs: Dirichlet conditions; their dofs keep their present acceleration.
+
+        Raises:
+            ConvergenceError: The density is not positive.
         """
-        V, ü = self.u.function_space, self.acceleration
-        fixed = fixed_dofs(bcs)
-        given = ü.x.array[fixed].copy()
+        ü = self.acceleration
+        dofs = dirichlet_dofs(bcs)
+        prescribed = ü.x.array[dofs].copy()
+        # F(u, v) without inertia: c = 0, so that ũ becomes u, and û is set such that d (u − û) = v
         ü.x.array[:] = 0.0
-        self._c.value = 0.0
-        self.hold()
-        ü.x.array[fixed] = given
-        test, trial = ufl.TestFunction(V), ufl.TrialFunction(V)
-        mass = self._density * ufl.inner(trial, test) * ufl.dx
-        M = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(mass), list(bcs))
-        M.assemble()
-        f, a = M.createVecs()
-        owned = f.getLocalSize()
-        f.array[:] = -assemble_owned(residual) - assemble_owned(
-            dolfinx.fem.form(ufl.action(mass, ü))
-        )
-        f.array[fixed[fixed < owned]] = given[fixed < owned]
-        ksp = PETSc.KSP().create(M.comm)
-        ksp.setOperators(M)
-        ksp.setType("cg")
-        ksp.getPC().setType("jacobi")
-        ksp.setTolerances(rtol=MASS_RTOL, max_it=MASS_ITERATIONS)
-        ksp.solve(f, a)
-        converged = ksp.getConvergedReason() > 0
-        ü.x.array[:owned] = a.array_r
-        ü.x.scatter_forward()
-        self.filtered.x.array[:] = ü.x.array
+        self._inertia_factor.value = 0.0
+        self.set_to_last_state()
+        ü.x.array[dofs] = prescribed
+        self._solve_with_mass(residual, bcs)
+        self.algorithmic_acceleration.x.array[:] = ü.x.array
         self.dt.value = 0.0
-        for owned_object in (ksp, M, f, a):
-            owned_object.destroy()
-        if not converged:
+
+    def _solve_with_mass(
+        self, residual: dolfinx.fem.Form, bcs: Sequence[dolfinx.fem.DirichletBC]
+    ) -> None:
+        """Set ü on the free dofs to M⁻¹ (−F(u, v) − M ü_D), with ü_D of the others. Collective.
+
+        Raises:
+            ConvergenceError: The density is not positive.
+        """
+        V = self.u.function_space
+        ü = self.acceleration
+        test = ufl.TestFunction(V)
+        trial = ufl.TrialFunction(V)
+        mass = self._density * ufl.inner(trial, test) * ufl.dx
+        with Lifetime() as lifetime:
+            M = lifetime.own(dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(mass), list(bcs)))
+            M.assemble()
+            f, a = map(lifetime.own, M.createVecs())
+            owned = f.getLocalSize()
+            dofs = dirichlet_dofs(bcs)
+            owned_dofs = dofs[dofs < owned]
+            inertia = assemble_owned(dolfinx.fem.form(ufl.action(mass, ü)))  # M ü_D
+            f.array[:] = -assemble_owned(residual) - inertia
+            f.array[owned_dofs] = ü.x.array[owned_dofs]
+            ksp = lifetime.own(PETSc.KSP().create(M.comm))
+            ksp.setOperators(M)
+            ksp.setType("cg")
+            ksp.getPC().setType("jacobi")
+            ksp.setTolerances(rtol=MASS_RTOL, max_it=MASS_MAX_ITERATIONS)
+            ksp.solve(f, a)
+            has_converged = ksp.getConvergedReason() > 0
+            ü.x.array[:owned] = a.array_r
+        ü.x.scatter_forward()
+        if not has_converged:
             raise ConvergenceError(
                 "The mass matrix could not be solved with for the initial acceleration: give a "
                 "positive density in all cells."
             )
 
-    def enter(self, dt: float) -> None:
-        """Enter a step of the length Δt: let u be what is looked for, beginning with u_n."""
-        v, ü, u = (f.x.array for f in (self.velocity, self.acceleration, self.u))
-        α_m, α_f, β, γ, last = self._α_m, self._α_f, self._β, self._γ, float(self.dt.value)
-        a = self.filtered.x.array
-        a[:] = ü + (dt / last if last > 0.0 else 1.0) * (a - ü)
+    def begin_step(self, dt: float) -> None:
+        """Set inertia and rates for a step of the length Δt [s] from the last state, u_n.
+
+        If Δt differs from that of the last step, a of the last state is scaled (head of the file),
+        in place: a path restores it if the step fails.
+        """
+        u = self.u.x.array
+        v = self.velocity.x.array
+        ü = self.acceleration.x.array
+        a = self.algorithmic_acceleration.x.array
+        α_m = self._α_m
+        α_f = self._α_f
+        β = self._β
+        γ = self._γ
+        dt_before = float(self.dt.value)
+        if dt_before > 0.0:
+            a[:] = ü + (dt / dt_before) * (a - ü)  # a − ü is scaled with Δt
         c = (1.0 - α_m) / ((1.0 - α_f) * β * dt**2)
         d = γ / (β * dt)
-        self.dt.value, self._c.value = dt, c
-        self._last, self._free = u.copy(), u + dt * v + dt**2 * (0.5 - β) * a
-        self._ahead.x.array[:] = self._free - (α_m * a - α_f * ü) / ((1.0 - α_f) * c)
-        self._set_rate(d, self._free - (v + dt * (1.0 - γ) * a) / d)
+        self.dt.value = dt
+        self._inertia_factor.value = c
+        self._u_n = u.copy()
+        self._u_explicit = u + dt * v + dt**2 * (0.5 - β) * a  # u_{n+1} − β Δt² a_{n+1}
+        ũ = self._u_explicit - (α_m * a - α_f * ü) / ((1.0 - α_f) * c)
+        û = self._u_explicit - (v + dt * (1.0 - γ) * a) / d
+        self._inertial_reference.x.array[:] = ũ
+        self._rate_factor.set(d, û)
 
     def predict(self) -> None:
-        """Let the iteration begin where a constant acceleration leads."""
-        v, a, dt = self.velocity.x.array, self.filtered.x.array, float(self.dt.value)
-        self.u.x.array[:] = self._last + dt * v + dt**2 / 2.0 * a
+        """Set u to its value at the end of the step if the acceleration were constant."""
+        v = self.velocity.x.array
+        a = self.algorithmic_acceleration.x.array
+        dt = float(self.dt.value)
+        self.u.x.array[:] = self._u_n + dt * v + dt**2 / 2.0 * a  # u_n + Δt v_n + ½ Δt² a_n
 
-    def error(self) -> float:
-        """Return the largest estimated error of u in this step, (β − 1/6) Δt² (a_{n+1} − a_n).
+    def error_of_step(self) -> float:
+        """Return the largest estimated error of u in this step [mm]. Collective.
 
-        Collective. Source: Zienkiewicz and Xie 1991.
+        It is (β − 1/6) Δt² (a_{n+1} − a_n); source: O. C. Zienkiewicz and Y. M. Xie, Earthquake
+        Engineering and Structural Dynamics 20 (1991).
         """
-        change = np.abs(self._next() - self.filtered.x.array).max(initial=0.0)
+        change = np.abs(
+            self._next_algorithmic_acceleration() - self.algorithmic_acceleration.x.array
+        ).max(initial=0.0)
         largest = self.u.function_space.mesh.comm.allreduce(change, op=MPI.MAX)
         return abs(self._β - 1.0 / 6.0) * float(self.dt.value) ** 2 * largest
 
-    def leave(self) -> Array:
-        """Go to the end of the step, t_{n+1}; return u_{n+1} − u_n, with ghosts."""
-        a, dt, γ = self._next(), float(self.dt.value), self._γ
-        self.velocity.x.array[:] += dt * ((1.0 - γ) * self.filtered.x.array + γ * a)
-        self.acceleration.x.array[:] = float(self._c.value) * (self.u.x.array - self._ahead.x.array)
-        self.filtered.x.array[:] = a
-        return self.u.x.array - self._last
+    def end_step(self) -> Array:
+        """Set v, ü and a to those of t_{n+1}; return u_{n+1} − u_n, with ghosts."""
+        u = self.u.x.array
+        a = self.algorithmic_acceleration.x.array
+        a_next = self._next_algorithmic_acceleration()
+        c = float(self._inertia_factor.value)
+        dt = float(self.dt.value)
+        γ = self._γ
+        self.velocity.x.array[:] += dt * ((1.0 - γ) * a + γ * a_next)  # v_{n+1}
+        self.acceleration.x.array[:] = c * (u - self._inertial_reference.x.array)  # ü = c (u − ũ)
+        self.algorithmic_acceleration.x.array[:] = a_next
+        return u - self._u_n
 
     def kinetic_energy(self) -> float:
         """Return ½ ∫ ρ v². Collective."""
@@ -226,46 +376,75 @@ class Motion:
         return float(comm.allreduce(dolfinx.fem.assemble_scalar(self._kinetic)))
 
     def damping_form(self, residual: ufl.Form) -> ufl.Form:
-        """Return the integrals of a residual in which the velocity is."""
-        rates = {self._behind, *(last for last, _ in self._dashpots)}
-        parts = [i for i in residual.integrals() if not rates.isdisjoint(extract_coefficients(i))]
-        return ufl.Form(parts)
+        """Return the integrals of a residual that depend on the velocity."""
+        references = {self._rate_factor.reference}
+        references.update(dashpot.last for dashpot in self._rate_factor.dashpots)
+        integrals = [
+            integral
+            for integral in residual.integrals()
+            if not references.isdisjoint(extract_coefficients(integral))
+        ]
+        return ufl.Form(integrals)
 
     def damping(self, residual: dolfinx.fem.Form | None) -> Array:
-        """Return the present forces of dashpots, F(u, v) − F(u, 0), (owned,). Collective."""
+        """Return the present forces of dashpots, F(u, v) − F(u, 0), (owned,). Collective.
+
+        Args:
+            residual: The compiled :meth:`damping_form`; None if nothing depends on the velocity.
+        """
         if residual is None:
             dofmap = self.u.function_space.dofmap
             return np.zeros(dofmap.index_map.size_local * dofmap.index_map_bs)
-        whole = assemble_owned(residual)
-        behind, d = self._behind.x.array.copy(), float(self._d.value)
-        self._set_rate(d, self.u.x.array)
-        elastic = assemble_owned(residual)
-        self._set_rate(d, behind)
-        return whole - elastic
+        moving = assemble_owned(residual)  # F(u, v)
+        reference = self._rate_factor.reference.x.array.copy()
+        d = float(self._rate_factor.value)
+        self._rate_factor.set(d, self.u.x.array)
+        at_rest = assemble_owned(residual)  # F(u, 0)
+        self._rate_factor.set(d, reference)
+        return moving - at_rest
 
-    def _next(self) -> Array:
-        """Return a_{n+1}."""
-        return np.asarray((self.u.x.array - self._free) / (self._β * float(self.dt.value) ** 2))
+    def _next_algorithmic_acceleration(self) -> Array:
+        """Return a_{n+1} for the present u as u_{n+1}, with ghosts."""
+        return np.asarray(
+            (self.u.x.array - self._u_explicit) / (self._β * float(self.dt.value) ** 2)
+        )
 
-    def _set_rate(self, d: float, behind: Array) -> None:
-        """Let d (u − û) be the velocity, and that of dashpots, (u − u⁰)/Δt, too."""
-        self._d.value, self._behind.x.array[:] = d, behind
-        for last, time_step in self._dashpots:
-            last.x.array[:], time_step.value = behind, 1.0 / d
+    # -- former names, which still work ------------------------------------------------------------
+
+    hold = set_to_last_state
+    start = balance
+    enter = begin_step
+    leave = end_step
+    error = error_of_step
+    drive = attach_dashpots
+    is_alone_in = is_only_inertia_in
+    is_only_inertia_of = is_only_inertia_in
+
+    @property
+    def filtered(self) -> dolfinx.fem.Function:
+        """Former name of ``algorithmic_acceleration``."""
+        return self.algorithmic_acceleration
+
+    @property
+    def changes(self) -> list[dolfinx.fem.Function]:
+        """Former name of ``histories``."""
+        return self.histories
+
+    @property
+    def numbers(self) -> list[dolfinx.fem.Constant]:
+        """Former name of ``constants``."""
+        return self.constants
 
 
-def fixed_dofs(bcs: Sequence[dolfinx.fem.DirichletBC]) -> Indices:
-    """Return the dofs under conditions, ghosts included."""
-    return np.unique(
-        np.concatenate([np.empty(0, dtype=np.int32), *(bc.dof_indices()[0] for bc in bcs)])
-    )
+def dirichlet_dofs(bcs: Sequence[dolfinx.fem.DirichletBC]) -> Indices:
+    """Return the local dofs with conditions, with ghosts, sorted."""
+    dofs: list[Indices] = [np.empty(0, dtype=np.int32)]
+    dofs += [bc.dof_indices()[0] for bc in bcs]
+    return np.unique(np.concatenate(dofs))
 
 
-#: Each motion by the ũ in its inertia, by which the forms of a problem tell that they have it.
-MOTIONS: WeakKeyDictionary[dolfinx.fem.Function, ref[Motion]] = WeakKeyDictionary()
-
-
-def motions_in(coefficients: Sequence[dolfinx.fem.Function]) -> list[Motion]:
-    """Return the motions whose inertia is in forms with these Functions."""
-    found = (MOTIONS[f]() for f in coefficients if f in MOTIONS)
-    return [motion for motion in found if motion is not None]
+def stop_motions(constants: Iterable[dolfinx.fem.Constant]) -> None:
+    """Set inertia and velocities of all motions to zero in forms with these Constants."""
+    for constant in constants:
+        if isinstance(constant, InertiaFactor | RateFactor):
+            constant.stop()

@@ -1,11 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Progress of a load, and the signals that end it.
+"""Progress of a path, and the signals that end it.
 
 A bar (tqdm) on a terminal, and a line for each load step in the log. After Ctrl-C or SIGTERM all
-processes end the path together, between two Newton steps: the first signal is noted and raised at
-the next check, in work that fails on all processes if on one; the second one has its usual effect.
+processes end the path together, between two Newton steps: the first signal is noted, and raised at
+the next check. Checks are called inside of ``on_all`` or PETSc's monitors, which raise on all
+processes what one raises. A second signal has its usual effect.
 """
 
 from __future__ import annotations
@@ -18,72 +19,94 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from types import FrameType
-from typing import Any
+from typing import Any, Literal
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from tqdm import tqdm
 
-from dolfinx_feti.loading.steps import LoadStep
-from dolfinx_feti.runtime.collective import reason
+from dolfinx_feti.loading.load_step import LoadStep
+from dolfinx_feti.runtime.collective import error_message
 
 __all__ = ["Progress", "noted_signals"]
 
-#: Signals that end a path, with the handlers that have to be there: not those of a user.
+#: Signals that end a path, with their usual handlers. A signal with a handler of the user's is left
+#: to that handler.
 DEFAULTS: dict[signal.Signals, Callable[[int, FrameType | None], object] | signal.Handlers] = {
     signal.SIGINT: signal.default_int_handler,
     signal.SIGTERM: signal.SIG_DFL,
 }
 logger = logging.getLogger("dolfinx_feti")
 
-#: Attribute of the SNES that holds the progress of the load that is being followed.
+#: Attribute of the SNES that holds the progress of the present path. A monitor of the SNES reads
+#: it. PETSc can only remove all monitors at once: this one stays and serves later paths, too.
 ATTRIBUTE = "progress"
 
-#: Without tqdm's thread, which at exit waits for ever for the lock of a bar that has failed.
-Bar = type("Bar", (tqdm,), {"monitor_interval": 0})
+#: Share of a path above which it is complete but for rounding, and no time is left: the share is a
+#: sum of up to 10⁴ increments, which errs by 5e-13.
+COMPLETE = 1.0 - 1e-12
+
+#: Format of the bar, for tqdm.
 FORMAT = "{percentage:3.0f} % {bar:10} {desc}{postfix}"
+
+
+class Bar(tqdm):  # type: ignore[type-arg]
+    """A bar without tqdm's monitor thread.
+
+    After an error in a bar, its lock stays closed, and the thread would wait for it at exit.
+    """
+
+    monitor_interval = 0
 
 
 @contextmanager
 def noted_signals() -> Iterator[Callable[[], None]]:
-    """Note the first signal, in the main thread; yield the check that raises it.
+    """Return a context, whose value is a check that raises after the first signal inside of it.
 
-    The check raises KeyboardInterrupt after SIGINT, SystemExit after SIGTERM, with that status.
+    It raises KeyboardInterrupt after SIGINT, and SystemExit after SIGTERM, with the status
+    128 + number of the signal. Outside the main thread, where Python allows no handlers, no signal
+    is noted.
     """
     noted: list[int] = []
-    main = threading.current_thread() is threading.main_thread()
-    taken = [s for s, usual in DEFAULTS.items() if main and signal.getsignal(s) == usual]
+    replaced: list[signal.Signals] = []  # signals whose handler is ours
 
-    def let_go() -> None:
-        for number in taken:
+    def restore_handlers() -> None:
+        for number in replaced:
             signal.signal(number, DEFAULTS[number])
-        taken.clear()
+        replaced.clear()
 
     def note(number: int, frame: FrameType | None) -> None:
         noted.append(number)
-        let_go()
+        restore_handlers()
 
     def check() -> None:
-        if noted:
-            number = noted.pop()
-            raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+        if not noted:
+            return
+        number = noted.pop()
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt
+        raise SystemExit(128 + number)
 
-    for number in taken:
-        signal.signal(number, note)
+    if threading.current_thread() is threading.main_thread():
+        for number, usual in DEFAULTS.items():
+            if signal.getsignal(number) == usual:
+                replaced.append(number)
+                signal.signal(number, note)
     try:
         yield check
     finally:
-        let_go()
+        restore_handlers()
 
 
 class Progress:
-    """Says on the first process how far the load has come, and lets signals end it on all.
+    """The progress of a path, shown on the first process; checks signals on all.
 
-    A line for each load step goes to Python's logger ``dolfinx_feti``, as information. If stderr is
-    a terminal, a bar shows which load is attempted from where, the time left, and the Newton step
-    and residual that the SNES's monitor last reported.
+    A line for each load step goes to Python's logger ``dolfinx_feti``, level ``INFO``. If stderr is
+    a terminal, a bar shows the present attempt, the remaining time, and the Newton step and
+    residual that the SNES's monitor last reported.
     """
 
     def __init__(
@@ -95,67 +118,93 @@ class Progress:
         loads: Sequence[float],
         unit: str,
         number: int,
+        kind: Literal["load", "time"] = "load",
     ) -> None:
-        """Announce that the loads are followed, from the first through others, up or down.
+        """Open the bar.
 
-        The solver's monitor reports Newton steps, between which signals are checked; ``number``
-        counts the load steps before this run.
+        Args:
+            snes: The Newton solver, whose monitor reports Newton steps.
+            comm: Communicator of the problem.
+            check: Raises after a signal; called at each Newton step.
+            loads: The present load or time, then those to be met, up or down.
+            unit: Name of their unit.
+            number: Number of steps before this run.
+            kind: What the steps are of, for the log.
         """
         self._length = math.fsum(abs(b - a) for a, b in itertools.pairwise(loads))
-        self._goal, self._number = f"{loads[-1]:g} {unit}".rstrip(), number
-        self._seconds, self._left = 0.0, list[str]()  # the time left, once it is known
-        self._snes, self._first, self._check = snes, comm.rank == 0, check
+        self._goal = f"{loads[-1]:g} {unit}".rstrip()
+        self._number = number
+        self._kind = kind
+        self._seconds = 0.0
+        self._remaining = ""  # the remaining time in words; empty if it is not known
+        self._snes = snes
+        self._is_root = comm.rank == 0
+        self._check = check
         self._bar = Bar(disable=True)
-        if self._first and sys.stderr.isatty():
+        if self._is_root and sys.stderr.isatty():
             self._show(self._open)
-        if not any(monitor is _report for monitor, _, _ in snes.getMonitor() or []):
+        has_monitor = any(monitor is _report for monitor, _, _ in snes.getMonitor() or [])
+        if not has_monitor:
             snes.setMonitor(_report)
         snes.setAttr(ATTRIBUTE, self)
 
-    def attempt(self, load: float, to: float) -> None:
-        """Say that a step from one load to another begins."""
-        text = [*self._left, f"{load:.4g} → {to:.4g} of {self._goal}"]
-        self._show(lambda: self._bar.set_description_str(", ".join(text)))
+    def show_attempt(self, load: float, to: float) -> None:
+        """Show that a step from one load to another begins."""
+        text = _joined(self._remaining, f"{load:.4g} → {to:.4g} of {self._goal}")
+        self._show(partial(self._bar.set_description_str, text))
 
-    def newton(self, its: int, norm: float) -> None:
-        """Show a Newton step with the residual before it, or let a signal end it."""
+    def show_newton_step(self, its: int, norm: float) -> None:
+        """Show a Newton step with the residual before it; raise if there was a signal."""
         self._check()
-        self._show(lambda: self._bar.set_postfix_str(f"Newton {its}  ‖r‖ = {norm:.1e}"))
+        self._show(partial(self._bar.set_postfix_str, f"Newton {its}  ‖r‖ = {norm:.1e}"))
 
-    def accept(self, step: LoadStep) -> None:
+    def log_step(self, step: LoadStep) -> None:
         """Log a load step that has been accepted; the bar shows it with the next attempt."""
         self._bar.n += abs(step.increment)
         self._seconds += step.seconds
         self._number += 1
-        share = self._bar.n / self._length if self._length > 0.0 else 1.0
-        rest = tqdm.format_interval(self._seconds * (1.0 - share) / share)
-        self._left = [f"about {rest} left"] if share < 1.0 - 1e-12 else []
-        newton = step.all_steps
-        new = sum(each.tangent_lag == 0 for each in newton)
-        linear = sum(each.linear_iterations for each in newton)
-        failed = f" after {step.failures} failed attempt(s)" * (step.failures > 0)
-        said = [
-            f"load step {self._number}: {step.load:.5g} of {self._goal}{failed}",
-            f"{len(newton)} Newton steps with {new} tangent{'s' * (new != 1)}",
-            f"{linear} linear iterations",
+        self._remaining = self._remaining_time()
+        newton_steps = step.all_steps
+        new_tangents = sum(newton_step.tangent_lag == 0 for newton_step in newton_steps)
+        linear_iterations = sum(newton_step.linear_iterations for newton_step in newton_steps)
+        tangents = "tangent" if new_tangents == 1 else "tangents"
+        failed = ""
+        if step.failures > 0:
+            failed = f" after {step.failures} failed attempt(s)"
+        line = _joined(
+            f"{self._kind} step {self._number}: {step.load:.5g} of {self._goal}{failed}",
+            f"{len(newton_steps)} Newton steps with {new_tangents} {tangents}",
+            f"{linear_iterations} linear iterations",
             f"residual {self._snes.getFunctionNorm():.1e}",
             f"{step.seconds:.1f} s",
-        ]
-        self._log(", ".join([*said, *self._left]))
+            self._remaining,
+        )
+        self._log(line)
 
-    def refuse(self, load: float, error: Exception) -> None:
+    def _remaining_time(self) -> str:
+        """Return in words the time that the rest takes at the speed so far; empty at the end."""
+        if self._length == 0.0:
+            return ""
+        share = self._bar.n / self._length
+        if not 0.0 < share < COMPLETE:
+            return ""
+        rest = tqdm.format_interval(self._seconds * (1.0 - share) / share)
+        return f"about {rest} left"
+
+    def log_failure(self, load: float, error: Exception) -> None:
         """Log an attempt that failed."""
-        self._log(f"no equilibrium at {load:.5g}: {reason(error)}")
+        missing = "equilibrium" if self._kind == "load" else "state"
+        self._log(f"no {missing} at {load:.5g}: {error_message(error)}")
 
     def close(self) -> None:
-        """Clear the line and fall silent."""
+        """Close the bar; later solves of the SNES show nothing."""
         self._show(self._bar.close)
         self._snes.setAttr(ATTRIBUTE, None)
 
     def _log(self, text: str) -> None:
-        """Log a line on the first process, and not into the bar."""
+        """Log a line on the first process, on a line without the bar."""
         self._show(self._bar.clear)
-        if self._first:
+        if self._is_root:
             logger.info(text)
 
     def _open(self) -> None:
@@ -163,7 +212,7 @@ class Progress:
         self._bar = Bar(total=self._length, file=sys.stderr, **how)
 
     def _show(self, draw: Callable[[], object]) -> None:
-        """Draw; a terminal that fails is not drawn on again, as it is that of one process alone."""
+        """Draw the bar; draw no more after an error of the terminal, which only one process has."""
         try:
             draw()
         except (OSError, ValueError):  # gone, closed, or without these characters
@@ -174,4 +223,9 @@ def _report(snes: PETSc.SNES, its: int, norm: float) -> None:
     """Report a Newton step to the progress of the SNES, if there is one."""
     progress = snes.getAttr(ATTRIBUTE)
     if progress is not None:
-        progress.newton(its, norm)
+        progress.show_newton_step(its, norm)
+
+
+def _joined(*parts: str) -> str:
+    """Return the parts that are not empty, joined by commas."""
+    return ", ".join(part for part in parts if part)

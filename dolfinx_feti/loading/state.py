@@ -1,17 +1,24 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The state of a path: everything that a step changes, to be copied, restored, written and read.
+r"""The state of a path: all that a step changes, and copies of the last accepted states.
 
-It owns the load or time, the unknowns (u, condensed pressures, which are multipliers at the same
-time), histories (internal variables, last displacements of dashpots; velocity and accelerations
-with inertia), and the Constants of the forms, a Windkessel's history among them.
+A state is a load or time t and the values of
+
+* the unknowns: u and the condensed pressures, which are multipliers at the same time;
+* histories: internal variables, last displacements of dashpots, velocity and accelerations;
+* the Constants of the forms, such as loads and the history of a Windkessel.
+
+Failed steps restore the last accepted state. The accepted states predict the unknowns at another
+load or time by the polynomial through them,
+
+.. math:: U(t) ≈ \sum_i w_i(t)\, U_i, \qquad w_i(t) = \prod_{j ≠ i} \frac{t - t_j}{t_i - t_j}.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,20 +33,29 @@ __all__ = ["PathState", "Snapshot"]
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """A copy of a state: its load or time, and the values, with ghosts."""
+    """A copy of a state.
+
+    Attributes:
+        at: Its load or time.
+        arrays: Values of the functions, with ghosts; the unknowns come first.
+        constants: Values of the Constants; None if the state was read from a checkpoint with its
+            unknowns alone: it serves for predictions, and cannot be restored.
+    """
 
     at: float
     arrays: list[Array]
-    numbers: list[Array]
+    constants: list[Array] | None
 
 
 class PathState:
-    """Everything that a step changes.
+    """The present state of a path, in the user's Functions and Constants, and the accepted ones.
 
     Attributes:
-        at: The load or time.
-        functions: First the unknowns, which a solve changes and extrapolation predicts.
-        numbers: Constants of the forms, then further ones.
+        at: Load or time of the last accepted state.
+        functions: All Functions that a step changes; the first ones are the unknowns.
+        constants: All Constants that a step may change: those of the forms, then further ones.
+        accepted: Copies of the last accepted states, the oldest first.
+        n_earlier: Number of accepted states that are stored before the last one.
     """
 
     def __init__(
@@ -48,64 +64,158 @@ class PathState:
         content: Content,
         unknowns: Iterable[dolfinx.fem.Function],
         histories: Iterable[dolfinx.fem.Function],
-        numbers: Sequence[dolfinx.fem.Constant] = (),
+        constants: Sequence[dolfinx.fem.Constant] = (),
+        *,
+        n_earlier: int = 0,
     ) -> None:
-        """Take unknowns before those of the forms, histories, and what every step may change."""
-        self.at, self._content = float(at), content
-        known = list(dict.fromkeys([*unknowns, *content.unknowns]))
-        self._count = len(known)
-        self.functions = list(dict.fromkeys([*known, *histories]))
-        self.numbers = list(dict.fromkeys([*content.constants, *numbers]))
-        self._initial = [np.array(number.value) for number in self.numbers]
-        self._moving = {self.numbers.index(number) for number in numbers}
+        """Accept the present state.
 
-    def copy(self) -> Snapshot:
-        """Return a copy."""
-        arrays = [f.x.array.copy() for f in self.functions]
-        return Snapshot(self.at, arrays, [np.array(number.value) for number in self.numbers])
+        Args:
+            at: Its load or time.
+            content: Unknowns and constants of the forms.
+            unknowns: Further Functions that a solve changes.
+            histories: Functions that advance after a solve.
+            constants: Further Constants; every step changes them.
+            n_earlier: Number of accepted states to store before the last one.
+        """
+        self.at = float(at)
+        self.n_earlier = n_earlier
+        self._content = content
+        all_unknowns = list(dict.fromkeys([*unknowns, *content.unknowns]))
+        self._n_unknowns = len(all_unknowns)
+        self.functions = list(dict.fromkeys([*all_unknowns, *histories]))
+        self.constants = list(dict.fromkeys([*content.constants, *constants]))
+        self._initial = [np.array(c.value) for c in self.constants]
+        #: Indices in ``constants`` of those that every step changes, or that one has changed.
+        self._changing = {self.constants.index(c) for c in constants}
+        self.accepted = [self._copy()]
 
-    def restore(self, snapshot: Snapshot) -> None:
-        """Go back to a copy; on this process alone."""
-        self.at = snapshot.at
-        self.set(snapshot.arrays)
-        for number, value in zip(self.numbers, snapshot.numbers, strict=True):
-            number.value = value
+    def accept(self, at: float) -> None:
+        """Store the present state, at a load or time, as the last accepted one."""
+        self.at = at
+        first = max(len(self.accepted) - self.n_earlier, 0)
+        earlier = [s for s in self.accepted[first:] if s.at != at]  # distinct nodes of a polynomial
+        self.accepted = [*earlier, self._copy()]
 
-    def set(self, arrays: Sequence[Array]) -> None:
-        """Set the functions, or the unknowns alone."""
-        for f, array in zip(self.functions, arrays, strict=False):
-            f.x.array[:] = array
+    def update_accepted(self) -> None:
+        """Store the present state in place of the last accepted one, at the same load or time."""
+        self.accepted[-1] = self._copy()
 
-    def unknowns(self, snapshot: Snapshot) -> list[Array]:
-        """Return the values of the unknowns in a copy."""
-        return snapshot.arrays[: self._count]
+    def restore(self) -> None:
+        """Restore the last accepted state; not collective."""
+        self._restore(self.accepted[-1])
+
+    def step_back(self) -> None:
+        """Discard the last accepted state, and restore the one before it; not collective."""
+        self.accepted.pop()
+        self.restore()
+
+    def can_extrapolate(self) -> bool:
+        """Return True if enough states were accepted for a prediction, ``n_earlier`` + 1."""
+        return len(self.accepted) > self.n_earlier
+
+    def extrapolate(self, at: float) -> None:
+        """Set the unknowns to the polynomial through accepted states, at a load or time."""
+        weights = _lagrange_weights([s.at for s in self.accepted], at)
+        for i, f in enumerate(self.functions[: self._n_unknowns]):
+            values = np.zeros_like(f.x.array)
+            for weight, snapshot in zip(weights, self.accepted, strict=True):
+                values += weight * snapshot.arrays[i]  # Σ w_i U_i
+            f.x.array[:] = values
 
     def write(
-        self, checkpoint: Checkpoint, past: Sequence[Snapshot], record: Mapping[str, object]
+        self, checkpoint: Checkpoint, record: Mapping[str, object], *, with_step_before: bool
     ) -> None:
-        """Write the state, and the unknowns of earlier ones. Collective."""
-        numbers = [np.array(number.value) for number in self.numbers]
-        pairs = enumerate(zip(self._initial, numbers, strict=True))
-        self._moving |= {i for i, (a, b) in pairs if not np.array_equal(a, b)}
-        moving, loads = sorted(self._moving), [*(s.at for s in past), self.at]
+        """Write the last accepted state, and the unknowns of earlier ones. Collective.
+
+        Constants whose values differ from the first ones are noted as changing: a restart does not
+        compare their values.
+
+        Args:
+            checkpoint: Where to write.
+            record: Further data of the state; what JSON can hold.
+            with_step_before: Whether to write the accepted state before it in full, from which a
+                restart can repeat the last step.
+        """
+        earlier = self.accepted[:-1]
+        last = self.accepted[-1]
+        self._note_changed_constants(last)
+        changing = sorted(self._changing)
+        arrays = [s.arrays[: self._n_unknowns] for s in earlier]
+        constants_before: list[Array] | None = None
+        if with_step_before:
+            arrays[-1] = earlier[-1].arrays
+            constants_before = earlier[-1].constants
+        of_state = {
+            "loads": [s.at for s in self.accepted],  # or times
+            "constants": last.constants,
+            "constants_before": constants_before,
+            "changing": changing,
+        }
         checkpoint.write(
-            self.functions,
-            {"loads": loads, "numbers": numbers, "moving": moving, **record},
-            [self.unknowns(s) for s in past],
-            content=self._content,
-            moving=moving,
+            self.functions, {**of_state, **record}, arrays, content=self._content, changing=changing
         )
 
-    def read(self, checkpoint: Checkpoint) -> list[Snapshot]:
-        """Read what was written; return the earlier states, with the unknowns alone. Collective.
+    def _note_changed_constants(self, state: Snapshot) -> None:
+        """Record which Constants differ in a state from the beginning of the path."""
+        for i, initial in enumerate(self._initial):
+            if state.constants is not None and not np.array_equal(initial, state.constants[i]):
+                self._changing.add(i)
 
-        Numbers that no step had changed stay as they are.
+    def read(self, checkpoint: Checkpoint) -> None:
+        """Read the present state and the accepted ones from a checkpoint. Collective.
+
+        Earlier states have the unknowns alone, but for one that was written in full. Constants that
+        no step had changed keep their present values.
+
+        Raises:
+            KeyError: The record was not written by :meth:`write`.
+            ValueError: The state is one of another problem.
         """
         record = checkpoint.record or {}
         *loads, at = record["loads"]
-        moving, numbers = record["moving"], record["numbers"]
-        past = checkpoint.read(self.functions, content=self._content)
-        self.at, self._moving = at, self._moving | set(moving)
-        for i in moving:
-            self.numbers[i].value = np.asarray(numbers[i])
-        return [Snapshot(at, arrays, []) for at, arrays in zip(loads, past, strict=True)]
+        changing = record["changing"]
+        values = record["constants"]
+        constants_before = record["constants_before"]
+        arrays = checkpoint.read(self.functions, content=self._content)
+        earlier = [
+            Snapshot(load, of_state, None) for load, of_state in zip(loads, arrays, strict=True)
+        ]
+        if constants_before is not None:
+            values_before = [np.array(c.value) for c in self.constants]
+            for i in changing:
+                values_before[i] = np.asarray(constants_before[i])
+            earlier[-1] = replace(earlier[-1], constants=values_before)
+        self.at = at
+        self._changing |= set(changing)
+        for i in changing:
+            self.constants[i].value = np.asarray(values[i])
+        self.accepted = [*earlier, self._copy()]
+
+    def _copy(self) -> Snapshot:
+        """Return a copy of the present state."""
+        return Snapshot(
+            self.at,
+            [f.x.array.copy() for f in self.functions],
+            [np.array(c.value) for c in self.constants],
+        )
+
+    def _restore(self, snapshot: Snapshot) -> None:
+        """Set Functions and Constants to the values of a state that was stored in full."""
+        if snapshot.constants is None:
+            raise RuntimeError("This state was read with its unknowns alone.")
+        self.at = snapshot.at
+        for f, values in zip(self.functions, snapshot.arrays, strict=True):
+            f.x.array[:] = values
+        for constant, value in zip(self.constants, snapshot.constants, strict=True):
+            constant.value = value
+
+
+def _lagrange_weights(nodes: Sequence[float], t: float) -> list[float]:
+    """Return the weights w_i(t) of values at distinct nodes t_i, one for each node."""
+    t_i = np.array(nodes)
+    weights = []
+    for i, node in enumerate(t_i):
+        others = np.delete(t_i, i)
+        weights.append(float(np.prod((t - others) / (node - others))))  # Π (t − t_j)/(t_i − t_j)
+    return weights

@@ -5,288 +5,368 @@
 
 1. *Solve*: u balances the new load with the memory and the dashpots of the last state. After a
    failure the last state is restored and the length halved, down to the least.
-2. *Arrive*: velocities and accelerations are those of the end of the step, and so are internal
-   variables that the balance does not depend on.
-3. *Show*: ``on_step`` is called. Stresses and reactions that it evaluates are those that were
-   balanced: memory and dashpots are still those of the last state.
-4. *Remember*: memory and dashpots advance. From here on the new state is the last one. A step that
-   ``on_step`` has been called for is remembered even if that raises.
-5. *Keep*: the checkpoint is written. A restart shows a step again that was not kept.
+2. *Complete*: velocities and accelerations are set to those of the end of the step, and so are
+   internal variables that the balance does not depend on. The next length is chosen.
+3. *Call* ``on_step``. Stresses and reactions that it evaluates are those that were balanced: memory
+   and dashpots are still those of the last state.
+4. *Accept*: memory and dashpots advance. From here on the new state is the last one. A step that
+   ``on_step`` has been called for is accepted even if that raises.
+5. *Write* the checkpoint. A restart calls ``on_step`` again for a step that was not written.
 
-Whatever is raised in between, Ctrl-C and SIGTERM included, leaves the last state: load, unknowns,
-memory, and conditions. What is left to the next wanted place is divided into equal steps that are
-not longer than the present length, so that it is met exactly. ``load_steps`` and ``time_steps``
-say what a step is, and how long the next one may be.
+An exception in between, Ctrl-C and SIGTERM included, restores the last accepted state: load,
+unknowns, memory, and conditions. The rule for the lengths is in ``step_length``; ``load_steps`` and
+``time_steps`` define what is solved for.
 """
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import asdict
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any, Generic, Literal, TypeVar
 
 from mpi4py import MPI
-from petsc4py import PETSc
-
-import numpy as np
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.fixed_point import FixedPoint
+from dolfinx_feti.loading.load_step import LoadStep, read_step
+from dolfinx_feti.loading.places import PlaceTolerance
+from dolfinx_feti.loading.problem import Problem
 from dolfinx_feti.loading.progress import Progress, noted_signals
 from dolfinx_feti.loading.state import PathState
-from dolfinx_feti.loading.steps import Lengths, LoadStep, load_step
-from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
-from dolfinx_feti.runtime.collective import on_all, reason
+from dolfinx_feti.loading.step_length import StepLengthRule
+from dolfinx_feti.runtime.collective import error_message, on_all
 
-__all__ = ["Problem", "Stepper", "check_places", "loosened"]
+__all__ = ["Stepper"]
 
-#: What the last digits of a length are worth, relative to it and to where it begins.
-ROUNDING = 1e-12
-
-#: What a path can follow.
-Problem: TypeAlias = NonlinearProblem | FixedPoint
+Step = TypeVar("Step", bound=LoadStep)
 
 
-class Stepper:
-    """The state, the last ones before it, and the length of the next step.
+class Stepper(ABC, Generic[Step]):
+    """Steps of one kind from the present state through targets.
+
+    A kind of steps is a derived class. It defines how a state is solved for (:meth:`_attempt`), how
+    a step is completed (:meth:`_complete`), when a target is met (:meth:`_is_met`), and what helps
+    after a failure (:meth:`_remedy`). It may prepare the first step (:meth:`_begin`), advance and
+    restore further histories (:meth:`_advance`, :meth:`_after_restore`), and solve loosely between
+    targets (:meth:`_has_loose_tolerance`).
 
     Attributes:
-        state: All that a step changes.
-        order: So many states before the present one are kept.
-        kind: Class of the steps.
-        name: The function that takes the steps.
-        missed, remedy: What a failure at the least length says first and last.
+        state: The present state and the accepted ones.
+        length: The rule for the lengths of steps, with the present one.
     """
-
-    order = 0
-    kind: type[LoadStep]
-    name: str
-    missed: str
-    remedy: str
 
     def __init__(
         self,
         problem: Problem,
         set_place: Callable[[float], object],
-        steps: Lengths,
+        length: StepLengthRule[Step],
         state: PathState,
+        *,
+        step_type: type[Step],
+        function_name: str,
+        failure: str,
+        kind: Literal["load", "time"],
     ) -> None:
-        """Begin with the present state."""
-        self._comm: MPI.Comm = problem.u.function_space.mesh.comm
-        self._problem, self.state, self._user = problem, state, set_place
-        self._lengths, self._length = steps, steps.first
-        self._check: Callable[[], None] = lambda: None  # raises what a signal means
-        self._past, self._met = [state.copy()], [self.at]
+        """Create a stepper in the present state.
+
+        Args:
+            problem: The problem.
+            set_place: Sets the user's loads and conditions to those of a load or time.
+            length: The rule for the lengths, with the first one.
+            state: The state, accepted at the beginning of the path.
+            step_type: Class of the accepted steps.
+            function_name: Name of the public function, which a checkpoint stores.
+            failure: Beginning of the message after a failure at the least length; a place follows.
+            kind: What a place is, for the log.
+        """
+        self.state = state
+        self.length = length
+        self._comm: MPI.Comm = problem.unknown.function_space.mesh.comm
+        self._problem = problem
+        self._set_user_place = set_place
+        self._step_type = step_type
+        self._function_name = function_name
+        self._failure = failure
+        self._kind = kind
+        self._check_signals: Callable[[], None] = _no_signal  # follow sets another one
+        self._reached = [self.at]  # targets that were met, and the start
+        self._is_loose = False  # whether the present state was solved with a loose tolerance
         problem.renew()
 
     @property
     def at(self) -> float:
-        """The present load or time."""
+        """The load or time of the last accepted state."""
         return self.state.at
 
     def follow(
         self,
         targets: Sequence[float],
         *,
-        on_step: Callable[[Any], object] | None,
+        on_step: Callable[[Step], object] | None,
         checkpoint: Checkpoint | None,
         unit: str,
-    ) -> list[Any]:
-        """Go through the targets; return the steps. Collective."""
-        accepted: list[LoadStep] = []
+    ) -> list[Step]:
+        """Step through the targets. Collective.
+
+        Args:
+            targets: Loads or times to be met exactly, one after the other.
+            on_step: Called after each step, before memory and dashpots advance.
+            checkpoint: Where each accepted state is written, and where a restart begins.
+            unit: Name of the unit of the load or time, for the progress bar.
+
+        Returns:
+            The accepted steps, those before a restart included.
+        """
+        accepted: list[Step] = []
+        tolerance = PlaceTolerance.of([self.at, *targets], self.length.least)
+        is_restarted = False
         if checkpoint is not None and checkpoint.restart:
-            accepted = self._recall(checkpoint)
-            targets = self._unmet(targets)
-        snes, places, number = self._problem.solver, [self.at, *targets], len(accepted)
-        with noted_signals() as self._check, self._whole_steps(), closing(
-            Progress(snes, self._comm, self._check, loads=places, unit=unit, number=number)
-        ) as bar:  # fmt: skip
-            self._begin(targets, restarted=bool(accepted))
-            self._past[-1] = self.state.copy()
-            for target in map(float, targets):
-                while not self._is_met(target):
-                    step = self._reach(target, bar)
-                    accepted.append(step)
-                    bar.accept(step)
-                    try:
-                        if on_step is not None:
-                            on_all(partial(on_step, step), self._comm)
-                    finally:
-                        self._remember(step.load, target)
-                    if checkpoint is not None:
-                        self._keep(checkpoint, accepted)
-                    on_all(self._check, self._comm)
+            accepted, targets = self._restart(checkpoint, targets, tolerance)
+            is_restarted = True
+        targets = tolerance.without_repeats(self.at, targets)
+        with noted_signals() as check_signals, self._restored_on_error():
+            self._check_signals = check_signals
+            progress = Progress(
+                self._problem.solver,
+                self._comm,
+                check_signals,
+                loads=[self.at, *targets],
+                unit=unit,
+                number=len(accepted),
+                kind=self._kind,
+            )
+            with closing(progress):
+                self._begin(targets, is_restarted=is_restarted)
+                self.state.update_accepted()
+                for target in targets:
+                    while not self._is_met(target):
+                        step = self._take_step(target, progress)  # 1 and 2
+                        accepted.append(step)
+                        progress.log_step(step)
+                        try:
+                            if on_step is not None:
+                                on_all(partial(on_step, step), self._comm)  # 3
+                        finally:
+                            self._accept(step.load, target)  # 4
+                        if checkpoint is not None:
+                            self._write(checkpoint, accepted)  # 5
+                        on_all(check_signals, self._comm)
         return accepted
 
-    # -- what a kind of steps says
+    # -- defined by each kind of steps
 
+    @abstractmethod
     def _attempt(self, to: float, target: float) -> None:
-        """Solve for the state at a place on the way to a target, or raise ConvergenceError."""
-        raise NotImplementedError
+        """Solve for the state at a place on the way to a target. Collective.
 
-    def _arrive(self, step: dict[str, Any]) -> LoadStep:
-        """Go to the end of the step, and choose the next length; return the step."""
-        raise NotImplementedError
+        Raises:
+            ConvergenceError: There is no solution; any state may be left behind.
+        """
 
+    @abstractmethod
+    def _complete(self, step: LoadStep) -> Step:
+        """Complete the solved state, and return the step with all that was measured. Collective."""
+
+    @abstractmethod
     def _is_met(self, target: float) -> bool:
-        """Tell whether nothing is left to do up to a target."""
-        raise NotImplementedError
+        """Return True if the last accepted state meets a target."""
 
-    def _begin(self, targets: Sequence[float], *, restarted: bool) -> None:
-        """Prepare the first step."""
+    @abstractmethod
+    def _remedy(self, error: ConvergenceError) -> str:
+        """Return what helps after a failure at the least length; empty if the error says it."""
+
+    def _has_loose_tolerance(self, to: float, target: float) -> bool:
+        """Return True if the state at a place is solved with a loose tolerance."""
+        return False
+
+    def _begin(self, targets: Sequence[float], *, is_restarted: bool) -> None:
+        """Prepare the first step. Collective."""
 
     def _advance(self) -> None:
-        """Advance histories of this kind's own; on this process alone."""
+        """Advance histories that are not internal variables of the problem. Collective."""
 
-    def _restored(self) -> None:
-        """Set what follows from a state that has been restored; on this process alone."""
+    def _after_restore(self) -> None:
+        """Set what follows from a state that has been restored; not collective."""
 
-    # -- what they share
+    # -- the order of events
 
-    def _reach(self, target: float, bar: Progress) -> LoadStep:
-        """Find the next state, and arrive there."""
-        started, before = time.perf_counter(), self.at
-        failures, lost = 0, []
+    def _take_step(self, target: float, progress: Progress) -> Step:
+        """Solve for the next state, with shorter lengths after failures, and complete it.
+
+        Collective.
+        """
+        start_time = time.perf_counter()
+        before = self.at
+        failures = 0
+        lost = []
         while True:
-            to = self._next(target)
-            bar.attempt(before, to)
+            to = self.length.next_place(before, target)
+            progress.show_attempt(before, to)
             try:
                 self._attempt(to, target)
                 break
             except ConvergenceError as error:
                 failures += 1
                 lost += self._problem.history
+                # in this order: the user's function may change Constants of the state
                 self._set_place(before)
-                self._back()
+                self._restore()
                 self._problem.renew()
-                bar.refuse(to, error)
+                progress.log_failure(to, error)
                 self._shorten(abs(to - before), error)
-        on_all(self._check, self._comm)
-        step = {"load": to, "increment": to - before, "history": tuple(self._problem.history)}
-        step |= {"failures": failures, "lost": tuple(lost)}
-        found = self._arrive(step | {"seconds": time.perf_counter() - started})
+        on_all(self._check_signals, self._comm)
+        self._problem.warn_of_cells()
+        step = LoadStep(
+            load=to,
+            increment=to - before,
+            history=tuple(self._problem.history),
+            failures=failures,
+            lost=tuple(lost),
+            seconds=time.perf_counter() - start_time,
+        )
+        completed = self._complete(step)
         self._problem.update_internal_variables(balanced=False)
-        return found
+        self.length.adapt(completed, n_updates=self._problem.n_updates)
+        return completed
 
-    def _remember(self, to: float, target: float) -> None:
-        """Advance the histories; from here on the new state is the one to go back to."""
+    def _accept(self, to: float, target: float) -> None:
+        """Advance the histories, and accept the state. Collective."""
         self._problem.update_internal_variables(balanced=True)
         self._advance()
-        self.state.at = to
-        past = [s for s in self._past[-self.order :] if s.at != to]
-        self._past = [*past[: self.order], self.state.copy()]
-        self._met += [to] if to == target else []
+        self.state.accept(to)
+        self._is_loose = self._has_loose_tolerance(to, target)
+        if to == target:  # exactly: the last step to a target leads to the target itself
+            self._reached.append(to)
 
     def _set_place(self, place: float) -> None:
-        """Set load and conditions, or raise on all processes."""
+        """Set load and conditions to those of a place, where a step may end.
+
+        Scalars and contacts get the length of that step (``begin_step``), unless the place is that
+        of the last accepted state. Collective; raises on all processes.
+        """
 
         def work() -> None:
-            self._check()
+            self._check_signals()
             if place != self.at:
                 self._problem.begin_step(place - self.at)
-            self._user(place)
+            self._set_user_place(place)
 
         on_all(work, self._comm)
 
-    def _back(self) -> None:
-        """Go back to the last state, but for load and conditions; on this process alone."""
-        self.state.restore(self._past[-1])
-        self._restored()
+    def _restore(self) -> None:
+        """Restore the last accepted state, but not load and conditions; not collective."""
+        self.state.restore()
+        self._after_restore()
 
     @contextmanager
-    def _whole_steps(self) -> Iterator[None]:
-        """Leave the last state behind, whatever is raised; each process for itself."""
+    def _restored_on_error(self) -> Iterator[None]:
+        """Restore the last accepted state, load and conditions if anything is raised.
+
+        Not collective: what was raised need not be raised on all processes.
+        """
         try:
             yield
         except BaseException as error:
             try:
-                self._user(self._past[-1].at)
-            except Exception as second:  # the first one is what went wrong
-                error.add_note(f"Conditions could not be set back: {reason(second)}")
-            self._back()
+                self._set_user_place(self.at)
+            except Exception as second_error:  # the first error is the cause
+                error.add_note(f"Conditions could not be set back: {error_message(second_error)}")
+            self._restore()
             raise
 
-    def _next(self, target: float) -> float:
-        """Return where the next attempt leads, to the target itself at the end."""
-        count = math.ceil(abs(target - self.at) / self._length * (1.0 - ROUNDING))
-        return target if count <= 1 else self.at + (target - self.at) / count
-
     def _shorten(self, length: float, error: ConvergenceError) -> None:
-        """Halve the length, down to the least; raise if it was the least."""
-        least = self._lengths.least
-        if length <= least + ROUNDING * (length + abs(self.at)):
+        """Halve the length of steps after a failure.
+
+        Raises:
+            ConvergenceError: The step that failed had the least length.
+        """
+        if self.length.is_least(length, self.at):
             text = (
-                f"{self.missed} {self.at:g}: an increment of {length:g} failed, too, and "
-                f"{least:g} is the least allowed. {error} {self._remedy(error)}"
+                f"{self._failure} {self.at:g}: an increment of {length:g} failed, too, and "
+                f"{self.length.least:g} is the least allowed. {error} {self._remedy(error)}"
             )
             raise ConvergenceError(text.rstrip()) from error
-        self._length = max(length / 2.0, least)
+        self.length.halve(length)
 
-    def _remedy(self, error: ConvergenceError) -> str:
-        """Say what helps after a failure at the least length."""
-        return self.remedy
+    # -- checkpoints
 
-    def _unmet(self, targets: Sequence[float]) -> list[float]:
-        """Return the targets without those that were met, in their order, before a restart."""
-        left = list(targets)
-        for place in self._met:
-            left = left[left[:1] == [place] :]
-        return left
+    def _write(self, checkpoint: Checkpoint, accepted: Sequence[Step]) -> None:
+        """Write all that the next solve depends on, so that a restart repeats it. Collective.
 
-    def _keep(self, checkpoint: Checkpoint, accepted: Sequence[LoadStep]) -> None:
-        """Write all that the next solve depends on, so that a restart repeats it."""
-        steps = [asdict(step) for step in accepted]
-        record = {"kind": self.name, "increment": self._length, "met": self._met, "steps": steps}
-        self.state.write(checkpoint, self._past[:-1], record)
+        The preconditioner is not written. It is discarded, so that the next solve is the same with
+        and without a restart.
+        """
+        record = {
+            "function": self._function_name,
+            "length": self.length.record(),
+            "reached": self._reached,
+            "is_loose": self._is_loose,
+            "steps": [asdict(step) for step in accepted],
+        }
+        self.state.write(checkpoint, record, with_step_before=self._is_loose)
         self._problem.renew()
 
-    def _recall(self, checkpoint: Checkpoint) -> list[LoadStep]:
-        """Go where a checkpoint was written; return the steps that led there."""
+    def _restart(
+        self, checkpoint: Checkpoint, targets: Sequence[float], tolerance: PlaceTolerance
+    ) -> tuple[list[Step], list[float]]:
+        """Restore the state of a checkpoint, or the state a step before it. Collective.
+
+        A state that was solved with a loose tolerance meets no target. If the next target is at its
+        place, the path goes a step back, memory included, to take that step again.
+
+        Returns:
+            The steps that led there, and the targets that are still to be met.
+
+        Raises:
+            ValueError: The checkpoint was written by another function, or is one of another
+                problem.
+        """
         record: dict[str, Any] = checkpoint.record or {}
-        try:
-            if record["kind"] != self.name:
-                raise KeyError(record["kind"])
-            accepted = [load_step(step, self.kind) for step in record["steps"]]
-            past = self.state.read(checkpoint)
-        except (KeyError, TypeError) as error:
-            raise ValueError(
-                f"The checkpoint in {checkpoint.folder} was not written by {self.name} of "
-                "this version: name another folder."
-            ) from error
-        self._length, self._met = record["increment"], record["met"]
-        self._past = [*past, self.state.copy()]
+        accepted = self._read_steps(record, checkpoint)
+        self.state.read(checkpoint)
+        self.length.restore(record["length"])
+        self._reached = record["reached"]
+        is_loose = bool(record["is_loose"])
+        remaining = self._unmet(targets, tolerance)
+        if is_loose and remaining and tolerance.are_equal(self.at, remaining[0]):
+            accepted.pop()
+            self.state.step_back()
+            is_loose = False
+        self._is_loose = is_loose
+        # in this order: the user's function may change Constants of the state
         self._set_place(self.at)
-        self.state.restore(self._past[-1])
-        return accepted
+        self.state.restore()
+        return accepted, remaining
 
+    def _read_steps(self, record: Mapping[str, Any], checkpoint: Checkpoint) -> list[Step]:
+        """Return the accepted steps of a record.
 
-@contextmanager
-def loosened(
-    snes: PETSc.SNES, *, rtol: float = 0.0, atol: float = 0.0, linear_rtol: float = 0.0
-) -> Iterator[None]:
-    """Let the tolerances of a SNES and its KSP be no smaller than these for a while."""
-    before = [(solver, solver.getTolerances()) for solver in (snes, snes.getKSP())]
-    for (solver, own), least in zip(before, ((rtol, atol), (linear_rtol, 0.0)), strict=True):
-        solver.setTolerances(rtol=max(own[0], least[0]), atol=max(own[1], least[1]))
-    try:
-        yield
-    finally:
-        for solver, own in before:
-            solver.setTolerances(*own)
-
-
-def check_places(start: float, targets: Sequence[float], *, unloading: bool) -> None:
-    """Require finite loads or times that only turn back if ``unloading`` is True."""
-    if not all(math.isfinite(place) for place in (start, *targets)):
-        raise ValueError(f"start={start}, targets={list(targets)}: loads are finite numbers.")
-    ways = np.sign(np.diff([start, *targets]))
-    if not unloading and {-1.0, 1.0} <= set(ways):
-        raise ValueError(
-            f"start={start}, targets={list(targets)}: the load turns back on its way. Put the "
-            "targets in order, or allow it by unloading=True."
+        Raises:
+            ValueError: The record was written by another function, or its steps have other fields.
+        """
+        foreign = ValueError(
+            f"The checkpoint in {checkpoint.folder} was not written by {self._function_name} of "
+            "this version: name another folder."
         )
+        if record.get("function") != self._function_name:
+            raise foreign
+        try:
+            return [read_step(step, self._step_type) for step in record["steps"]]
+        except (KeyError, TypeError) as error:
+            raise foreign from error
+
+    def _unmet(self, targets: Sequence[float], tolerance: PlaceTolerance) -> list[float]:
+        """Return the targets without those that were met, in their order, before a restart."""
+        remaining = list(targets)
+        for reached in self._reached:
+            if remaining and tolerance.are_equal(remaining[0], reached):
+                remaining.pop(0)
+        return remaining
+
+
+def _no_signal() -> None:
+    """Check signals outside of a path: there are none to check."""

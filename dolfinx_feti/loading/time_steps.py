@@ -3,26 +3,28 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Time steps: the motion of a problem with inertia, in steps that are fixed or adapted.
 
-A step that fails, or whose estimated error e is above the tolerance, is tried again from the last
-state with a shorter one. After a good one of length Δt, the present length L becomes
+A step that fails, or whose estimated error e is above the tolerance, is repeated from the last
+state with half its length. After a step of length Δt that succeeded, the present length L becomes
 
 .. math:: L ← \min(\max(L, g\, Δt),\ Δt\, \max(½,\ 0.9\, (\mathrm{tol}/e)^{1/3})),
 
-g being the most that it may grow by, up to the longest; Δt < L where a target is to be met. The
-balance of energies is
+where g is the largest growth, and L stays between the least and the longest length. Δt is shorter
+than L if a target is to be met. The balance of energies is
 
 .. math:: T_{n+1} - T_n + Π_{n+1} - Π_n + D = W + O(Δt^3), \qquad
           W = ½\, (f_n + f_{n+1}) · (u_{n+1} - u_n),
 
-with kinetic energy T, stored energy Π, external forces f, and D, the work on dashpots, like W.
+with kinetic energy T, stored energy Π, external forces f, and the work D on dashpots, which is
+integrated like W.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
+from numbers import Real
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,30 +35,43 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.assembly import assemble_owned
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.loading.checkpoint import Checkpoint
-from dolfinx_feti.loading.motion import Motion, fixed_dofs, motions_in
+from dolfinx_feti.loading.load_step import LoadStep
+from dolfinx_feti.loading.motion import Motion, dirichlet_dofs
+from dolfinx_feti.loading.places import check_places
 from dolfinx_feti.loading.state import PathState
-from dolfinx_feti.loading.stepper import Stepper, check_places
-from dolfinx_feti.loading.steps import Lengths, LoadStep
-from dolfinx_feti.mechanics.values import require_positive, require_within
+from dolfinx_feti.loading.step_length import StepLengthRule
+from dolfinx_feti.loading.stepper import Stepper
+from dolfinx_feti.loading.steps import LengthSettings
+from dolfinx_feti.mechanics.values import (
+    require_number,
+    require_positive,
+    require_sequence,
+    require_type,
+    require_within,
+)
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 
 __all__ = ["TimeStep", "TimeSteps", "follow_time"]
 
+#: Length of the next step over the length whose predicted error is the tolerance. With 0.9 an error
+#: may be a third larger than predicted (0.9⁻³ = 1.37) before a step is repeated.
+SAFETY = 0.9
 
-#: Share of the length that the error estimate asks for, and the least of the last one.
-SAFETY, SHORTEST = 0.9, 0.5
+#: Shortest length of the next step over that of an accepted one: no shorter than after a failure,
+#: which halves it, too.
+MIN_SHRINKAGE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class TimeSteps(Lengths):
+class TimeSteps(LengthSettings):
     """How to choose the lengths of time steps [s].
 
     Attributes:
-        longest: The longest [s]; the first one if not given.
-        tolerance: Most that the estimated error of the displacement may be in a step [mm]; if not
-            given, steps are as long as the first one unless they fail.
+        longest: The longest length [s]; the first one if not given.
+        tolerance: Largest estimated error of the displacement in a step [mm]; if not given, steps
+            are as long as the first one unless they fail.
     """
 
     longest: float | None = None
@@ -64,28 +79,34 @@ class TimeSteps(Lengths):
 
     def __post_init__(self) -> None:
         """Check the values."""
-        Lengths.__post_init__(self)
+        LengthSettings.__post_init__(self)
         remedy = f"a number not below first={self.first}"
-        require_within(self.first, math.inf, {"longest": self.most}, remedy=remedy)
+        require_number(longest=self.longest_length)
+        require_within(self.first, math.inf, {"longest": self.longest_length}, remedy=remedy)
         if self.tolerance is not None:
+            require_number(tolerance=self.tolerance)
             require_positive(tolerance=self.tolerance)
 
     @property
-    def most(self) -> float:
-        """The longest length."""
+    def longest_length(self) -> float:
+        """The longest length [s], also if it is not given."""
         return self.first if self.longest is None else self.longest
+
+    def length_rule(self) -> StepLengthRule[TimeStep]:
+        """Create the rule for the lengths; another rule is a subclass that overrides this."""
+        return ErrorControl(self)
 
 
 @dataclass(frozen=True, slots=True)
 class TimeStep(LoadStep):
-    """An accepted time step; its load is the time.
+    """An accepted time step. Its attribute ``load`` is the time at its end [s].
 
     Attributes:
-        kinetic: Kinetic energy at its end.
-        stored: Energy of the material at its end, if it was given; else NaN.
-        work: Work of the external forces in it, if they were given; else NaN.
-        dissipated: Work on dashpots, and on all else in the forms that resists the rate.
-        error: Estimated error of the displacement.
+        kinetic: Kinetic energy at its end [mN mm].
+        stored: Energy of the material at its end, if it was given; else NaN [mN mm].
+        work: Work of the external forces in it, if they were given; else NaN [mN mm].
+        dissipated: Work on dashpots, and on all else in the forms that resists the rate [mN mm].
+        error: Estimated error of the displacement [mm].
     """
 
     kinetic: float
@@ -112,62 +133,75 @@ def follow_time(
 ) -> list[TimeStep]:
     """Follow the motion from one time through others to the last. Collective.
 
-    It begins with the present displacement and ``motion.velocity``; the acceleration follows. What
-    is not said here is as in :func:`~dolfinx_feti.loading.load_steps.follow_load`.
+    It begins with the present displacement and ``motion.velocity``; the acceleration follows from
+    the balance of forces. Arguments that :func:`~dolfinx_feti.loading.load_steps.follow_load` has,
+    too, mean the same.
 
     Args:
         problem: The nonlinear problem, with the inertia of ``motion`` in its forms.
         motion: Its motion.
-        set_time: Sets loads and conditions to those of a time. At first it is called for times in
-            the first step, too: dofs under conditions begin with the velocity of their values.
+        set_time: Sets loads and the values of the conditions to those of a time. The conditions
+            themselves, ``problem.bcs``, stay those of the beginning. At the beginning it is also
+            called for times in the first step, for the initial velocity of Dirichlet dofs.
         targets: Times to be met exactly, ascending.
         steps: How to choose the lengths of the steps.
-        state: Functions that a solve changes beside u and what is condensed.
+        state: Functions that a solve changes in addition to u and condensed fields.
         start: The present time.
-        energy: What the material stores, for the balance kinetic + stored + dissipated − work of
-            each step.
-        forces: External forces, tested with v, for the same: their work is integrated by the
-            trapezoidal rule.
-        on_step: Called at the end of each step.
-        checkpoint: Where each new state is kept.
+        energy: Energy of the material, for the balance of each step, kinetic + stored +
+            dissipated − work.
+        forces: External forces, tested with v, for the same balance; their work is integrated by
+            the trapezoidal rule.
+        on_step: Called at the end of each step on all processes; the order of events is that of
+            :mod:`~dolfinx_feti.loading.stepper`.
+        checkpoint: Where each new state is written.
         unit: Name of the unit of time.
 
     Returns:
         The accepted steps, those before a restart included.
 
     Raises:
+        TypeError: An argument has a wrong type.
         ValueError: Times do not ascend, or the forms do not hold the inertia of the motion, or a
             dashpot cannot follow it.
-        ConvergenceError: No step of the least length leads on; the state is that of its beginning.
+        ConvergenceError: A step of the least length failed; the state is that of its beginning.
     """
+    require_type(NonlinearProblem, problem=problem)
+    require_type(Motion, motion=motion)
+    require_type(TimeSteps, steps=steps)
+    require_sequence(Real, targets=targets)
+    require_sequence(dolfinx.fem.Function, state=state)
+    require_type((Checkpoint, type(None)), checkpoint=checkpoint)
+
+    constants = problem.content.constants
 
     def check() -> None:
-        check_places(start, targets, unloading=False)
-        if any(target < start for target in targets):
-            raise ValueError(
-                f"start={start}, targets={list(targets)}: times ascend from the start."
-            )
-        if motion.u is not problem.u or motions_in(problem.content.coefficients) != [motion]:
+        check_places(start, targets, steps.least, unloading=False, quantity="time")
+        if motion.u is not problem.unknown or not motion.is_only_inertia_in(constants):
             raise ValueError(
                 "The forms of the problem do not hold the inertia of this Motion, or not of it "
                 "alone: add motion.inertia to the energy, or its derivative to the residual."
             )
-        motion.drive(problem.content.coefficients)
 
-    on_all(check, problem.u.function_space.mesh.comm)
-    histories = [*problem.internal_variables, *motion.changes]
-    owned = PathState(start, problem.content, state, histories, motion.numbers)
-    return _Times(problem, set_time, steps, owned, motion, (energy, forces)).follow(
-        targets, on_step=on_step, checkpoint=checkpoint, unit=unit
+    comm = problem.unknown.function_space.mesh.comm
+    on_all(check, comm)
+    on_all(lambda: motion.attach_dashpots(constants), comm)  # motion.constants has their time steps
+    histories = [*problem.internal_variables, *motion.histories]
+    path_state = PathState(start, problem.content, state, histories, motion.constants)
+    stepper = _TimeStepper(
+        problem, set_time, steps, path_state, motion, energy=energy, forces=forces
     )
+    return stepper.follow(targets, on_step=on_step, checkpoint=checkpoint, unit=unit)
 
 
-class _Times(Stepper):
-    """States of a motion; its velocity and accelerations lead to the next one."""
+class PathForces(NamedTuple):
+    """Forces that do work along a motion."""
 
-    kind = TimeStep
-    name, missed = "follow_time", "The motion was not found beyond the time"
-    remedy = "Allow shorter steps, or a larger tolerance."
+    external: Array  # (owned,); NaN if the user gives none
+    damping: Array  # of dashpots, and all else that depends on the velocity, (owned,)
+
+
+class _TimeStepper(Stepper[TimeStep]):
+    """Steps between states of a motion, which its velocity and accelerations predict."""
 
     def __init__(
         self,
@@ -176,84 +210,152 @@ class _Times(Stepper):
         steps: TimeSteps,
         state: PathState,
         motion: Motion,
-        energy_and_forces: tuple[ufl.Form | None, ufl.Form | None],
+        *,
+        energy: ufl.Form | None,
+        forces: ufl.Form | None,
     ) -> None:
-        super().__init__(problem, set_time, steps, state)
-        self._steps = steps
-        given = (*energy_and_forces, motion.damping_form(problem.content.forms[0]))
-        self._energy, self._external, self._damping = (
-            None if f is None or f.empty() else Compiler(self._comm).form(f) for f in given
+        """Create the stepper in the present state; see :func:`follow_time`. Collective."""
+        super().__init__(
+            problem,
+            set_time,
+            steps.length_rule(),
+            state,
+            step_type=TimeStep,
+            function_name="follow_time",
+            failure="The motion was not found beyond the time",
+            kind="time",
         )
-        self._motion, self._balance = motion, (problem.F, list(problem.bcs))
+        self._steps = steps
+        self._motion = motion
+        self._residual = problem.F
+        self._bcs = list(problem.bcs)  # whose values set_time may change
+        self._energy = self._compile(energy)
+        self._external = self._compile(forces)
+        self._damping = self._compile(motion.damping_form(problem.content.forms[0]))
+        self._forces = PathForces(np.zeros(0), np.zeros(0))  # of the last state; set by _begin
+
+    def _compile(self, form: ufl.Form | None) -> dolfinx.fem.Form | None:
+        """Return a compiled form; None for a form that is missing or empty. Collective.
+
+        It is compiled with dolfinx's options, not with the problem's: it is assembled once a step.
+        """
+        if form is None or form.empty():
+            return None
+        return Compiler(self._comm).form(form)
 
     def _is_met(self, target: float) -> bool:
         return self.at >= target
 
-    def _begin(self, targets: Sequence[float], *, restarted: bool) -> None:
-        """Find the initial acceleration."""
-        if restarted or not targets:
-            self._motion.hold()
+    def _remedy(self, error: ConvergenceError) -> str:
+        return "Allow shorter steps, or a larger tolerance."
+
+    def _begin(self, targets: Sequence[float], *, is_restarted: bool) -> None:
+        """Compute the initial acceleration, which a restart has already. Collective."""
+        if is_restarted or not targets:
+            self._motion.set_to_last_state()
         else:
-            self._move_conditions(min(self._length, targets[0] - self.at))
+            self._start_conditions(min(self.length.present, targets[0] - self.at))
             self._set_place(self.at)
-            self._motion.start(*self._balance)
+            self._motion.balance(self._residual, self._bcs)
         self._forces = self._present_forces()
 
-    def _present_forces(self) -> Array:
-        """Return external forces, NaN if they are not given, and those of dashpots, (2, owned)."""
-        damping, given = self._motion.damping(self._damping), self._external
-        external = np.full_like(damping, math.nan) if given is None else assemble_owned(given)
-        return np.stack([external, damping])
+    def _present_forces(self) -> PathForces:
+        """Assemble the forces of the present state. Collective."""
+        damping = self._motion.damping(self._damping)
+        if self._external is None:
+            external = np.full_like(damping, math.nan)
+        else:
+            external = assemble_owned(self._external)
+        return PathForces(external, damping)
 
-    def _move_conditions(self, dt: float) -> None:
-        """Let dofs under conditions begin as their values do, by differences in a step Δt."""
+    def _start_conditions(self, dt: float) -> None:
+        """Set velocity and acceleration of Dirichlet dofs to those of their prescribed values.
+
+        These are one-sided differences of the values g at the times t, t + Δt/2 and t + Δt:
+        ġ = (4 g₁ − 3 g₀ − g₂)/Δt and g̈ = 4 (g₀ − 2 g₁ + g₂)/Δt².
+
+        Args:
+            dt: Length Δt of the first step [s].
+        """
         if dt <= 0.0:
             return
-        g0, g1, g2 = (self._problem.u.x.array.copy() for _ in range(3))
-        for place, values in ((self.at, g0), (self.at + dt / 2.0, g1), (self.at + dt, g2)):
-            self._set_place(place)
-            for bc in self._balance[1]:
-                bc.set(values)
-        fixed = fixed_dofs(self._balance[1])
-        v, ü = self._motion.velocity.x.array, self._motion.acceleration.x.array
-        v[fixed] = ((4.0 * g1 - 3.0 * g0 - g2) / dt)[fixed]
-        ü[fixed] = (4.0 * (g0 - 2.0 * g1 + g2) / dt**2)[fixed]
+        g0, g1, g2 = (self._values_at(t) for t in (self.at, self.at + dt / 2.0, self.at + dt))
+        dofs = dirichlet_dofs(self._bcs)
+        v = self._motion.velocity.x.array
+        ü = self._motion.acceleration.x.array
+        v[dofs] = ((4.0 * g1 - 3.0 * g0 - g2) / dt)[dofs]  # ġ
+        ü[dofs] = (4.0 * (g0 - 2.0 * g1 + g2) / dt**2)[dofs]  # g̈
 
-    def _restored(self) -> None:
-        """Let inertia and rates be those of the state."""
-        self._motion.hold()
+    def _values_at(self, t: float) -> Array:
+        """Return u with the prescribed values at a time, with ghosts; that time is set. Collective.
 
-    def _arrive(self, step: dict[str, Any]) -> TimeStep:
-        """Go from the balance of forces to the end of the step."""
-        error, moved = self._motion.error(), self._motion.leave()
-        self._lengthen(step["increment"], error)
-        before, self._forces = self._forces, self._present_forces()
-        W = (before + self._forces) @ moved[: before.shape[1]] / 2.0  # ½ (f_n + f_{n+1})·Δu
-        mine = math.nan if self._energy is None else dolfinx.fem.assemble_scalar(self._energy)
-        work, dissipated, stored = map(float, self._comm.allreduce(np.array([*W, mine])))
-        kinetic = self._motion.kinetic_energy()
-        return TimeStep(
-            **step, kinetic=kinetic, stored=stored, work=work, dissipated=dissipated, error=error
-        )
+        Scalars get the distance of that time as the length of a step: the last one is that of the
+        first step, with which their forces are balanced at the beginning.
+        """
+        self._set_place(t)
+        values = self._problem.unknown.x.array.copy()
+        for bc in self._bcs:
+            bc.set(values)
+        return values
+
+    def _after_restore(self) -> None:
+        self._motion.set_to_last_state()
 
     def _attempt(self, to: float, target: float) -> None:
-        """Balance the forces of a step, whose estimated error must not be too large."""
+        """Balance the forces at the end of a step, and check its estimated error. Collective."""
         dt = to - self.at
-        self._motion.enter(dt)
+        self._motion.begin_step(dt)
         self._set_place(to)
         reference = self._problem.residual_norm()
         self._motion.predict()
-        self._problem.solve(reference=reference, renew=False)
-        error, most = self._motion.error(), self._steps.tolerance
-        if most is not None and error > most:
+        self._problem.solve(reference=reference, renew=False, check_cells=False)
+        error = self._motion.error_of_step()
+        tolerance = self._steps.tolerance
+        if tolerance is not None and error > tolerance:
             raise ConvergenceError(
                 f"A step of {dt:g} has an estimated error of {error:.1e} in the displacement, "
-                f"and {most:g} is allowed."
+                f"and {tolerance:g} is allowed."
             )
 
-    def _lengthen(self, dt: float, error: float) -> None:
-        """Choose the next length."""
-        length, most = max(self._length, self._steps.growth * dt), self._steps.tolerance
-        if most is not None and error > 0.0:
-            length = min(length, dt * max(SHORTEST, SAFETY * (most / error) ** (1.0 / 3.0)))
-        self._length = max(min(self._steps.most, length), self._steps.least)
+    def _complete(self, step: LoadStep) -> TimeStep:
+        """Compute velocity, acceleration and energies at the end of the step. Collective."""
+        error = self._motion.error_of_step()
+        du = self._motion.end_step()
+        before = self._forces
+        after = self._present_forces()
+        self._forces = after
+        du = du[: len(after.external)]
+        work = (before.external + after.external) @ du / 2.0  # ½ (f_n + f_{n+1})·Δu
+        dissipated = (before.damping + after.damping) @ du / 2.0
+        stored = math.nan
+        if self._energy is not None:
+            stored = dolfinx.fem.assemble_scalar(self._energy)
+        work, dissipated, stored = self._comm.allreduce(np.array([work, dissipated, stored]))
+        attributes = {field.name: getattr(step, field.name) for field in fields(step)}
+        return TimeStep(
+            **attributes,
+            kinetic=self._motion.kinetic_energy(),
+            stored=float(stored),
+            work=float(work),
+            dissipated=float(dissipated),
+            error=error,
+        )
+
+
+class ErrorControl(StepLengthRule[TimeStep]):
+    """Time steps whose estimated error is about the tolerance; see the head of the file."""
+
+    def __init__(self, steps: TimeSteps) -> None:
+        """Create the rule with the first length."""
+        super().__init__(steps.first, steps.least)
+        self._steps = steps
+
+    def adapt(self, step: TimeStep, *, n_updates: int) -> None:
+        """Choose the length from that of the step, Δt, and its error."""
+        dt = step.increment
+        tolerance = self._steps.tolerance
+        length = max(self.present, self._steps.growth * dt)
+        if tolerance is not None and step.error > 0.0:
+            factor = SAFETY * (tolerance / step.error) ** (1.0 / 3.0)  # the error is O(Δt³)
+            length = min(length, dt * max(MIN_SHRINKAGE, factor))
+        self.present = max(min(self._steps.longest_length, length), self.least)

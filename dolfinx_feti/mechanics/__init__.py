@@ -3,6 +3,15 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Mechanics of arterial walls in UFL: kinematics, materials, loads, supports, residual stress.
 
-In the order of the data: values, kinematics, residual_stress, materials, memory,
-loads, supports.
+"The paper" in these files is Augustin, Holzapfel, Steinbach, International Journal for Numerical
+Methods in Engineering 2014 (docs/references.md). Public names are imported from the files, or from
+``dolfinx_feti.kinematics``, ``.materials``, ``.loads`` and ``.supports``.
+
+- ``values`` checks arguments of users, for all folders.
+- ``random_fields`` and ``deformation`` search the user's forms for the deformation gradient.
+- ``trial_displacements`` has the numerical test of symmetry for loads.
+- All others write energies and forms in UFL.
+
+In the order of the data: values, kinematics, random_fields, deformation, residual_stress,
+materials, memory, trial_displacements, loads, supports.
 """

@@ -3,10 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Kinematics of large deformations as UFL expressions.
 
-A body moves by x = X + u(X) (eq. 1), and F = J^{1/3} F̄ (eq. 3, Augustin_eq:decompositionFlory),
-C = J^{2/3} C̄ (eq. 4). Gradients, and directions a, b of fibres, are those of the reference: unit
-vectors, (d,). Two dimensions are plane strain. The invariants take C, (d, d), and J = det F, or
-√(det C) without it, which costs a quarter more and hides an inverted element. Units: mm, kPa.
+A body moves by x = X + u(X), F = J^{1/3} F̄ and C = J^{2/3} C̄ (eq. 1, eq. 3 and eq. 4 of the
+paper). Gradients, and directions a, b of fibres, belong to the reference configuration; directions
+are unit vectors, (d,). Two dimensions are plane strain: the third stretch is 1. The invariants take
+C, (d, d), and J = det F. Without J they use √(det C): forms then take a quarter more time to
+assemble, and an inverted element is not noticed. Units: mm, kPa.
 """
 
 from __future__ import annotations
@@ -51,14 +52,13 @@ def jacobian(F: Expr) -> Expr:
 
 def isochoric_invariant_1(C: Expr, J: Expr | None = None) -> Expr:
     """First isochoric invariant Ī₁ = tr C̄ = J^{-2/3} tr C."""
-    plane_strain = 3 - C.ufl_shape[0]
-    return _volume_factor(C, J) * (ufl.tr(C) + plane_strain)
+    return _volume_factor(C, J) * (ufl.tr(C) + _missing_dimensions(C))
 
 
 def isochoric_invariant_2(C: Expr, J: Expr | None = None) -> Expr:
     """Second isochoric invariant Ī₂ = ½ (Ī₁² − tr C̄²) = J^{-4/3} ½ ((tr C)² − tr C²)."""
-    plane_strain = 3 - C.ufl_shape[0]
-    trace, trace_of_square = ufl.tr(C) + plane_strain, ufl.inner(C, C) + plane_strain
+    trace = ufl.tr(C) + _missing_dimensions(C)
+    trace_of_square = ufl.inner(C, C) + _missing_dimensions(C)
     return _volume_factor(C, J) ** 2 * (trace**2 - trace_of_square) / 2
 
 
@@ -81,13 +81,13 @@ def cauchy_stress(psi: Expr, F: Variable) -> Expr:
     """Cauchy stress of an energy, σ = J⁻¹ (∂Ψ/∂F) Fᵀ = 2 J⁻¹ F (∂Ψ/∂C) Fᵀ (eq. 9).
 
     With a separate pressure field, Ψ = Ψ̄ + p (J − 1) − …, the result is
-    σ = p I + 2 J⁻¹ F (∂Ψ̄/∂C) Fᵀ (eq. 11, Augustin_eq:additiveStress).
+    σ = p I + 2 J⁻¹ F (∂Ψ̄/∂C) Fᵀ (eq. 11).
 
     Raises:
         ValueError: ``psi``, per unit reference volume, is not written in the variable F.
     """
-    both = isinstance(psi, Expr) and isinstance(F, Variable)
-    if not both or all(e != F for e in unique_pre_traversal(psi)):
+    are_expressions = isinstance(psi, Expr) and isinstance(F, Variable)
+    if not are_expressions or not _contains(psi, F):
         raise ValueError(
             "psi does not depend on the variable F, so its stress would be zero. Call "
             "deformation_gradient (or ufl.variable) once and write psi in the F that it returns."
@@ -96,8 +96,18 @@ def cauchy_stress(psi: Expr, F: Variable) -> Expr:
 
 
 def stress_magnitude(sigma: Expr) -> Expr:
-    """Frobenius norm of a symmetric stress, σ_mag = √(σ : σ) (eq. 56, stressmag)."""
+    """Frobenius norm of a symmetric stress, σ_mag = √(σ : σ) (eq. 56)."""
     return ufl.sqrt(ufl.inner(sigma, sigma))
+
+
+def _contains(psi: Expr, F: Variable) -> bool:
+    """Return True if an expression contains a variable. ``==`` of UFL compares structures."""
+    return any(bool(part == F) for part in unique_pre_traversal(psi))
+
+
+def _missing_dimensions(C: Expr) -> int:
+    """Return 3 − d, the part of tr C and tr C² from stretches 1 out of the plane."""
+    return 3 - int(C.ufl_shape[0])
 
 
 def _volume_factor(C: Expr, J: Expr | None) -> Expr:

@@ -3,17 +3,27 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Energies of hyperelastic materials, per unit reference volume, as plain UFL expressions.
 
-Of Π = ∫ Ψ dX the first and second derivatives are residual (eq. 20, Augustin_eq:WeakReference,
-eq. 21) and tangent (eq. 24, Augustin_eq:Tangent). For nearly incompressible tissue (eq. 10,
-Augustin_eq:decompositionStrain)
+The derivatives of Π = ∫ Ψ dX are the residual (eq. 20 and eq. 21 of the paper) and the tangent
+(eq. 24). For nearly incompressible tissue (eq. 10)
 
     Ψ(C) = Ψ̄(C̄) + Ψ_vol(J),   or with a pressure field   Ψ(C, p) = Ψ̄(C̄) + p (J − 1) − p²/(2κ).
 
-All take C, (d, d), fibres of the reference, *unit* vectors (d,), and J = det F: without J, √(det C)
-is used, the tangent is dearer, and an inverted element gives no NaN. Parameters are floats, dolfinx
-constants, or any UFL expression, such as a Function of the layer; a float out of its range is a
-ValueError. Stiffnesses are in kPa. For exponentials set the quadrature degree, or use
-:func:`~dolfinx_feti.fem.quadrature.limit_quadrature_degree`.
+All functions have these arguments, and return an energy in kPa:
+
+- C: right Cauchy–Green tensor, (d, d).
+- a1, a2, fibre, sheet: directions in the reference configuration, *unit* vectors, (d,).
+- J: det F. Without it, √(det C) is used: the tangent takes longer to assemble, and an inverted
+  element does not give NaN.
+- Parameters are floats, dolfinx constants, or any UFL expression, such as a Function of the layer.
+  Stiffnesses are in kPa, exponents without unit. A float out of its range is a ValueError.
+
+An isochoric energy Ψ̄ needs a volumetric part, :func:`volumetric` or :func:`perturbed_lagrangian`.
+A *complete* energy resists changes of volume by itself. For exponentials set the quadrature degree,
+or use :func:`~dolfinx_feti.fem.quadrature.limit_quadrature_degree`.
+
+A new material is a function here, and its name in ``__all__``: no other file lists materials. Its
+docstring says whether it is isochoric or complete. A case in TOML (``wall.casefile``) has the
+parameters of :func:`holzapfel_gasser_ogden` only.
 """
 
 from __future__ import annotations
@@ -49,15 +59,15 @@ __all__ = [
 
 Parameter: TypeAlias = float | Expr
 
-# At u = 0 every E = Ī₄ − 1 is zero up to rounding. A switch slightly below zero keeps all fibres in
-# the tangent there, not those of a random half of the cells; the jump of Ψ at the switch is
-# 1e-24 k₁.
-_FIBRE_SWITCH = -1e-12
+#: Strain E = Ī₄ − 1 of a fibre family above which it contributes. At u = 0 every E is zero up to
+#: rounding. A bound slightly below zero includes all fibres in the tangent there, not those of a
+#: random half of the cells. The jump of Ψ at the bound is 1e-24 k₁.
+MIN_FIBRE_STRAIN = -1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class ArteryParameters:
-    """Parameters of the artery model (table 1, Augustin_tab:param, from Holzapfel et al. 2000)."""
+    """Parameters of the artery model, :func:`holzapfel_gasser_ogden` (table 1 of the paper)."""
 
     c: float = 3.0  #: Stiffness of the matrix material [kPa]
     k1: float = 2.3632  #: Stiffness of the fibres [kPa]
@@ -69,7 +79,7 @@ class ArteryParameters:
 
 
 def volumetric(J: Expr, kappa: Parameter) -> Expr:
-    """Volumetric energy Ψ_vol = κ/2 (J − 1)² (eq. 14) with a penalty κ, like a bulk modulus."""
+    """Volumetric energy Ψ_vol = κ/2 (J − 1)² (eq. 14); the penalty κ acts as a bulk modulus."""
     require_positive(kappa=kappa)
     return kappa / 2 * (J - 1) ** 2
 
@@ -77,16 +87,16 @@ def volumetric(J: Expr, kappa: Parameter) -> Expr:
 def perturbed_lagrangian(J: Expr, p: Expr, kappa: Parameter) -> Expr:
     """Volumetric energy with the pressure as an independent field, p (J − 1) − p²/(2κ).
 
-    It is stationary in p at p = κ (J − 1) = ∂Ψ_vol/∂J (eq. 12, Augustin_eq:hydrostaticPressure,
-    eq. 29, Augustin_eq:volumetricVariationDis), where it equals :func:`volumetric`, with the
-    projection of J onto the space of p in each cell. p is positive in tension.
+    It is stationary in p at p = κ (J − 1) = ∂Ψ_vol/∂J (eq. 12, eq. 29), where it
+    equals :func:`volumetric` with the projection of J onto the space of p in each cell. p is
+    positive in tension.
     """
     require_positive(kappa=kappa)
     return p * (J - 1) - p**2 / (2 * kappa)
 
 
 def neo_hookean(C: Expr, *, c: Parameter, J: Expr | None = None) -> Expr:
-    """Isochoric neo-Hookean energy Ψ̄ = c/2 (Ī₁ − 3) (eq. 15, Augustin_eq:iso).
+    """Isochoric neo-Hookean energy Ψ̄ = c/2 (Ī₁ − 3) (eq. 15).
 
     c is the shear modulus at small strains.
     """
@@ -114,11 +124,10 @@ def holzapfel_gasser_ogden(
     k2: Parameter,
     J: Expr | None = None,
 ) -> Expr:
-    """Isochoric energy of a wall with two families of fibres (eq. 13, Augustin_eq:isoaniso).
+    """Isochoric energy of a wall with two families of fibres (eq. 13).
 
     Ψ̄ = c/2 (Ī₁ − 3) + Σ_{i=4,6} k₁/(2k₂) {exp[k₂ (Ī_i − 1)²] − 1}, where a family contributes
-    only in tension, Ī_i > 1 (eq. 15, Augustin_eq:iso, eq. 16, Augustin_eq:aniso_1, eq. 17,
-    Augustin_eq:aniso_2).
+    only in tension, Ī_i > 1 (eq. 15, eq. 16, eq. 17).
     """
     require_positive(c=c, k1=k1, k2=k2)
     families = (_fibre_energy(isochoric_invariant_4(C, a, J) - 1, k1, k2) for a in (a1, a2))
@@ -166,15 +175,18 @@ def guccione(
     """Isochoric energy of the heart's muscle, transversely isotropic about its fibres.
 
     Ψ̄ = c/2 (exp Q − 1) with Q = b_f E_ff² + b_t (E_ss² + E_nn² + 2 E_sn²) + 2 b_fs (E_fs² + E_fn²)
-    and the strains Ē = ½ (C̄ − I) along the fibre f and any two directions s, n normal to it.
+    and the components E_ij of Ē = ½ (C̄ − I) along the fibre f and any two directions s, n normal
+    to it.
     Source: Guccione, McCulloch, Waldman, J. Biomech. Eng. 113 (1991) 42-55, as in problem 1 of Land
     et al., Proc. R. Soc. A 471 (2015) 20150641, where c = 2 kPa and b_f, b_t, b_fs = 8, 2, 4. The
     shear modulus at small strains is c b/2, with b_t across the fibres and b_fs along them. Where
     fibres shorten much (with these numbers to 0.82), the energy is not elliptic.
     """
     require_positive(c=c, b_f=b_f, b_t=b_t, b_fs=b_fs)
-    I1, I2 = isochoric_invariant_1(C, J), isochoric_invariant_2(C, J)
-    I4, I5 = isochoric_invariant_4(C, fibre, J), isochoric_invariant_5(C, fibre, J)
+    I1 = isochoric_invariant_1(C, J)
+    I2 = isochoric_invariant_2(C, J)
+    I4 = isochoric_invariant_4(C, fibre, J)
+    I5 = isochoric_invariant_5(C, fibre, J)
     along = (I4 - 1) ** 2 / 4  # E_ff²
     fibres = (I5 - 2 * I4 + 1) / 4  # |Ē f|² = E_ff² + E_fs² + E_fn²
     total = (I1**2 - 2 * I2 - 2 * I1 + 3) / 4  # Ē : Ē
@@ -202,19 +214,20 @@ def holzapfel_ogden(
     Ψ̄ = a/(2b) {exp[b (Ī₁ − 3)] − 1} + Σ_{i=f,s} a_i/(2b_i) {exp[b_i (Ī_4i − 1)²] − 1}
     + a_fs/(2b_fs) {exp[b_fs Ī_8fs²] − 1} with Ī_4f = f·C̄ f, Ī_4s = s·C̄ s, Ī_8fs = f·C̄ s, where
     fibres and sheets contribute only in tension, Ī_4i > 1. Source: Holzapfel, Ogden, Phil. Trans.
-    R. Soc. A 367 (2009) 3445-3475, where shear tests on a pig's myocardium give a, a_f, a_s, a_fs =
-    0.059, 18.472, 2.481, 0.216 kPa and b, b_f, b_s, b_fs = 8.023, 16.026, 11.120, 11.436.
+    R. Soc. A 367 (2009) 3445-3475. Its a and b are parameters, not directions. There shear tests on
+    a pig's myocardium give a, a_f, a_s, a_fs = 0.059, 18.472, 2.481, 0.216 kPa and b, b_f, b_s,
+    b_fs = 8.023, 16.026, 11.120, 11.436.
     """
     require_positive(a=a, b=b, a_f=a_f, b_f=b_f, a_s=a_s, b_s=b_s, a_fs=a_fs, b_fs=b_fs)
-    matrix = a / (2 * b) * (ufl.exp(b * (isochoric_invariant_1(C, J) - 3)) - 1)
+    ground = a / (2 * b) * (ufl.exp(b * (isochoric_invariant_1(C, J) - 3)) - 1)
     fibres = _fibre_energy(isochoric_invariant_4(C, fibre, J) - 1, a_f, b_f)
     sheets = _fibre_energy(isochoric_invariant_4(C, sheet, J) - 1, a_s, b_s)
     shear = _exponential(isochoric_invariant_8(C, fibre, sheet, J), a_fs, b_fs)
-    return matrix + fibres + sheets + shear
+    return ground + fibres + sheets + shear
 
 
 def active_tension(C: Expr, fibre: Expr, *, tension: Parameter) -> Expr:
-    """Energy T_a/2 (I₄ − 1) of muscle fibres that contract with a tension of their own.
+    """Energy T_a/2 (I₄ − 1) of muscle fibres that contract actively, with a tension T_a [kPa].
 
     It adds T_a f ⊗ f to the second Piola-Kirchhoff stress of a passive energy: T_a is the force per
     reference area over the stretch. I₄ = f·C f is not isochoric. Source: problem 3 of Land et al.,
@@ -237,7 +250,7 @@ def saint_venant_kirchhoff(C: Expr, *, lmbda: Parameter, mu: Parameter) -> Expr:
 
 def _fibre_energy(E: Expr, k1: Parameter, k2: Parameter) -> Expr:
     """Energy k₁/(2k₂) {exp[k₂ E²] − 1} of one family with strain E, zero in compression."""
-    return ufl.conditional(ufl.gt(E, _FIBRE_SWITCH), _exponential(E, k1, k2), 0.0)
+    return ufl.conditional(ufl.gt(E, MIN_FIBRE_STRAIN), _exponential(E, k1, k2), 0.0)
 
 
 def _exponential(E: Expr, k1: Parameter, k2: Parameter) -> Expr:

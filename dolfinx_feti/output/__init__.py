@@ -1,12 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Output: recovered stresses, and fields for ParaView.
+"""Output: recovered stresses, values at points, fields for ParaView, and pictures.
 
-In the order of the data: patches, stress, points, fields.
+In the order of the data: patches, stress, evaluation, points, fields, surfaces, pictures.
 """
 
-from dolfinx_feti.mechanics.values import type_exports
+from dolfinx_feti.output.evaluation import evaluate
 from dolfinx_feti.output.fields import FieldWriter, cell_values
 from dolfinx_feti.output.patches import Patches, create_patches
 from dolfinx_feti.output.stress import balanced_stress, recovered_field
@@ -18,8 +18,7 @@ __all__ = [
     "balanced_stress",
     "cell_values",
     "create_patches",
+    "evaluate",
     "recovered_field",
     "writable_folder",
 ]
-
-type_exports(globals())

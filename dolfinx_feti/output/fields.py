@@ -3,10 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Output for ParaView: all fields in one file, step by step (docs/stresses.md).
 
-VTX, `name.bp`, where dolfinx has ADIOS2: each field becomes a discontinuous function of the degree
-of the geometry. Else, and for prisms, XDMF: continuous fields at nodes, others one value a cell.
-Data at quadrature points are projected to these functions, or written where they are, to
-`name_points.xdmf`. Data on facets are fields of a submesh, those on one of vertices are points.
+The format is VTX, `name.bp`, if dolfinx has ADIOS2: each field becomes a discontinuous function of
+the degree of the geometry. Otherwise, and for prisms, it is XDMF: continuous fields at nodes, other
+fields with one value per cell. Data at quadrature points are projected to these functions, or
+written at their points to `name_points.xdmf`. Data on facets are fields of a submesh; fields on a
+mesh of vertices are written at points.
 """
 
 from __future__ import annotations
@@ -29,9 +30,10 @@ from ufl.domain import extract_domains
 
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.quadrature import quadrature_rule, same_points
+from dolfinx_feti.mechanics.values import require_sequence
 from dolfinx_feti.output.points import PointCloud, projection
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.collective import on_all, reason
+from dolfinx_feti.runtime.collective import error_message, on_all
 from dolfinx_feti.runtime.compat import geometry_degree, geometry_dofmap, interpolation_points
 from dolfinx_feti.runtime.folders import try_to_write, writable_folder
 
@@ -44,7 +46,7 @@ VTX_CELLS = ("interval", "triangle", "quadrilateral", "tetrahedron", "hexahedron
 
 
 class FieldWriter:
-    """Writes functions on one mesh, and expressions of them, step by step.
+    """Writer of functions on one mesh, and of expressions in them, step by step.
 
     Example::
 
@@ -55,7 +57,7 @@ class FieldWriter:
 
     Attributes:
         path: The file or folder to open in ParaView.
-        points: The file of the values at points; None without any.
+        points: The file of the values at points; None without such values.
     """
 
     def __init__(
@@ -70,10 +72,10 @@ class FieldWriter:
         """Open the file. Collective.
 
         Args:
-            path: Its name without suffix.
+            path: Path of the file without suffix.
             functions: Functions to write, under their own names, of any element.
             expressions: UFL expressions to write, by name; they are evaluated cell by cell.
-            kind: ``vtx`` or ``xdmf``; by default VTX where dolfinx has ADIOS2, XDMF elsewhere.
+            kind: ``vtx`` or ``xdmf``; by default VTX if dolfinx has ADIOS2, else XDMF.
             quadrature: Data at quadrature points: ``project`` to linear functions in each cell
                 (VTX) or means (XDMF), or write them at the ``points``.
 
@@ -83,6 +85,7 @@ class FieldWriter:
                 on another mesh or on facets, or has several quadrature rules.
             OSError: The file cannot be created.
         """
+        require_sequence(dolfinx.fem.Function, functions=functions)
         expressions = expressions or {}
         fields = [*((f.name, f) for f in functions), *expressions.items()]
         names = [name for name, _ in fields]
@@ -96,8 +99,8 @@ class FieldWriter:
         self._kind = _checked_kind(kind, mesh)
         self._updates: list[Callable[[], object]] = []
         self._copies: list[dolfinx.fem.Function] = []
-        self._at_points: dict[str, Callable[[], Array]] = {}
-        self._x: Callable[[], Array] | None = None
+        self._at_points: dict[str, Callable[[], Array]] = {}  # name → values, (n, k)
+        self._x: Callable[[], Array] | None = None  # coordinates of the points, (n, 3)
         self._rule: Array | None = None
         self._meshes = 0
         for name, field in fields:
@@ -110,7 +113,8 @@ class FieldWriter:
             place = self.path.with_name(f"{Path(path).name}_points.xdmf")
             for file in (place, place.with_suffix(".bin")):
                 try_to_write(_append_nothing, file, "file", mesh.comm)
-            self._cloud, self.points = PointCloud(place, mesh.comm), place
+            self._cloud = PointCloud(place, mesh.comm)
+            self.points = place
         if not self._copies:
             self.path = self.points or self.path
         elif self._kind == "vtx":
@@ -126,8 +130,8 @@ class FieldWriter:
         for update in self._updates:
             update()
         if isinstance(self._file, dolfinx.io.XDMFFile):
-            same = np.array_equal(self._nodes, self._mesh.geometry.x)
-            if not self._mesh.comm.allreduce(same, op=MPI.LAND):
+            has_moved = not np.array_equal(self._nodes, self._mesh.geometry.x)
+            if self._mesh.comm.allreduce(has_moved, op=MPI.LOR):
                 self._write_mesh(self._file)
             grid = f"/Xdmf/Domain/Grid[@GridType='Uniform'][{self._meshes}]"
             for copy in self._copies:
@@ -154,15 +158,27 @@ class FieldWriter:
         self.close()
 
     def _write_mesh(self, file: dolfinx.io.XDMFFile) -> None:
-        """Write the mesh where it is now, for it may have moved, as one of its own name."""
-        mesh, self._meshes = self._mesh, self._meshes + 1
+        """Write the mesh at its current position, each time under a different name."""
+        mesh = self._mesh
+        self._meshes = self._meshes + 1
         name = mesh.name
-        mesh.name += f"_{self._meshes}" * (self._meshes > 1)
+        if self._meshes > 1:
+            mesh.name = f"{name}_{self._meshes}"
         file.write_mesh(mesh)
-        mesh.name, self._nodes = name, mesh.geometry.x.copy()
+        mesh.name = name
+        self._nodes = mesh.geometry.x.copy()
 
     def _add(self, name: str, field: dolfinx.fem.Function | Expr, quadrature: str) -> None:
-        """Find out how a field is written, and try it once."""
+        """Choose how a field is written, and evaluate it once. Collective.
+
+        Args:
+            name: Its name in the file.
+            field: The field.
+            quadrature: ``project`` or ``points``, for data at quadrature points.
+
+        Raises:
+            ValueError: The field cannot be written.
+        """
         mesh = self._mesh
         try:
             _check_field(field, mesh)
@@ -172,33 +188,57 @@ class FieldWriter:
             elif rule is not None and quadrature == "points":
                 self._add_at_points(name, field, rule[0])
             else:
-                continuous = isinstance(field, dolfinx.fem.Function) and _is_continuous(field)
-                degree = geometry_degree(mesh) if self._kind == "vtx" or continuous else 0
-                family = "Lagrange" if continuous and self._kind == "xdmf" else "DG"
+                is_continuous = isinstance(field, dolfinx.fem.Function) and _is_continuous(field)
+                degree = geometry_degree(mesh) if self._kind == "vtx" or is_continuous else 0
+                family = "Lagrange" if is_continuous and self._kind == "xdmf" else "DG"
                 space = dolfinx.fem.functionspace(mesh, (family, degree, field.ufl_shape))
                 copy = dolfinx.fem.Function(space, name=name)
+                update = _updater(field, copy, rule)
+                update()  # raises errors now, not at the first step
                 self._copies.append(copy)
-                self._updates.append(_updater(field, copy, rule))
-                self._updates[-1]()
+                self._updates.append(update)
         except (NotImplementedError, RuntimeError, TypeError, ValueError) as error:
-            raise ValueError(f"The field {name!r} cannot be written: {reason(error)}") from error
+            raise ValueError(
+                f"The field {name!r} cannot be written: {error_message(error)}"
+            ) from error
 
     def _add_at_vertices(self, name: str, field: dolfinx.fem.Function | Expr) -> None:
-        """Write the values of a function on a mesh of points."""
+        """Add the values of a function on a mesh of vertices."""
         if not isinstance(field, dolfinx.fem.Function):
             raise ValueError("it is an expression on a mesh of points, where only functions live.")
-        mesh, V = self._mesh, field.function_space
+        mesh = self._mesh
+        V = field.function_space
         n = mesh.topology.index_map(0).size_local
-        nodes, dofs = geometry_dofmap(mesh)[:n, 0], V.dofmap.list[:n, 0]
-        self._x = lambda: np.asarray(mesh.geometry.x[nodes], dtype=np.float64)
-        self._at_points[name] = lambda: field.x.array.reshape(-1, V.dofmap.bs)[dofs]
+        nodes = geometry_dofmap(mesh)[:n, 0]
+        dofs = V.dofmap.list[:n, 0]
+
+        def coordinates() -> Array:
+            return np.asarray(mesh.geometry.x[nodes], dtype=np.float64)
+
+        def values() -> Array:
+            return np.asarray(field.x.array.reshape(-1, V.dofmap.bs)[dofs])
+
+        self._x = coordinates
+        self._at_points[name] = values
 
     def _add_at_points(self, name: str, field: Expr, points: Array) -> None:
-        """Write the values at quadrature points, the same ones for all fields of the file."""
-        mesh, gdim = self._mesh, self._mesh.geometry.dim
+        """Add the values at quadrature points, which are the same for all fields of the file.
+
+        Args:
+            name: Name of the field.
+            field: The field.
+            points: The points in the reference cell, (points, tdim).
+        """
+        mesh = self._mesh
+        gdim = self._mesh.geometry.dim
         if self._rule is None:
-            at = _evaluator(ufl.SpatialCoordinate(mesh), mesh, points)
-            self._x = lambda: np.pad(at().reshape(-1, gdim), ((0, 0), (0, 3 - gdim)))
+            evaluate_x = _evaluator(ufl.SpatialCoordinate(mesh), mesh, points)
+
+            def coordinates() -> Array:
+                x = evaluate_x().reshape(-1, gdim)
+                return np.pad(x, ((0, 0), (0, 3 - gdim)))  # zero out of the plane
+
+            self._x = coordinates
             self._rule = points
         elif not same_points(self._rule, points):
             raise ValueError("its quadrature points are others than those of the fields before it.")
@@ -208,7 +248,7 @@ class FieldWriter:
 def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> Array:
     """Return a scalar or vector at the centroids of the owned cells, (n_cells, …). Collective.
 
-    Of data at quadrature points it is their mean.
+    For data at quadrature points it is their mean.
     """
     rule = quadrature_rule(expression)
     cell = getattr(basix.CellType, mesh.topology.cell_name())
@@ -220,7 +260,11 @@ def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> Array:
 
 
 def _checked_kind(kind: str | None, mesh: dolfinx.mesh.Mesh) -> str:
-    """Return the format of the file."""
+    """Return the format of the file, ``vtx`` or ``xdmf``.
+
+    Raises:
+        ValueError: The format is unknown or does not have the mesh's cells.
+    """
     cell = mesh.topology.cell_name()
     kind = kind or ("vtx" if dolfinx.has_adios2 and cell in VTX_CELLS else "xdmf")
     if kind not in SUFFIXES:
@@ -234,7 +278,7 @@ def _checked_kind(kind: str | None, mesh: dolfinx.mesh.Mesh) -> str:
 
 
 def _check_field(field: dolfinx.fem.Function | Expr, mesh: dolfinx.mesh.Mesh) -> None:
-    """Require a field on the mesh, of one element."""
+    """Raise a ValueError if a field is not on the mesh, or has several elements."""
     if any(domain != mesh.ufl_domain() for domain in extract_domains(field)):
         raise ValueError("it lives on another mesh than the first function; open a file for each.")
     if ufl.algorithms.extract_arguments(field):
@@ -246,7 +290,7 @@ def _check_field(field: dolfinx.fem.Function | Expr, mesh: dolfinx.mesh.Mesh) ->
 
 
 def _is_continuous(f: dolfinx.fem.Function) -> bool:
-    """Tell whether a function has one value at each point."""
+    """Return True if a function is continuous across facets."""
     space = f.function_space.ufl_element().basix_sobolev_space
     return space in (basix.SobolevSpace.H1, basix.SobolevSpace.H2, basix.SobolevSpace.H3)
 
@@ -291,7 +335,11 @@ def _updater(
 
 
 def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:
-    """Return the path with its suffix; a folder in place of a file would raise on one process."""
+    """Return the path with its suffix, after a check that files can be written there. Collective.
+
+    Raises:
+        OSError: A file cannot be written, on all processes; dolfinx would raise on one.
+    """
     folder = writable_folder(path.parent, comm)
     place = folder / (path.name + SUFFIXES[kind])
     if kind == "vtx":
@@ -302,4 +350,5 @@ def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:
 
 
 def _append_nothing(path: Path) -> None:
+    """Open a file for writing, without a change; an OSError if it cannot be opened."""
     path.open("ab").close()

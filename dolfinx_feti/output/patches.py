@@ -80,7 +80,8 @@ def create_patches(
         ValueError: A cell has no layer, the tags belong to another mesh or not to cells, or the
             degree is too low.
     """
-    cell, nodes = mesh.topology.cell_name(), geometry_dofmap(mesh).shape[1]
+    cell = mesh.topology.cell_name()
+    nodes = geometry_dofmap(mesh).shape[1]
     if (cell, nodes, mesh.geometry.dim) not in (("triangle", 3, 2), ("tetrahedron", 4, 3)):
         raise TypeError(
             f"The mesh has cells of type {cell} with {nodes} nodes in {mesh.geometry.dim} "
@@ -89,7 +90,8 @@ def create_patches(
         )
     if not degree >= 3:
         raise ValueError(f"degree={degree}: give a quadrature degree of 3 or more.")
-    dim, vertices = mesh.topology.dim, mesh.topology.index_map(0)
+    dim = mesh.topology.dim
+    vertices = mesh.topology.index_map(0)
     layer, count = _layer_of_cells(mesh, layers)
     of_cells = mesh.topology.connectivity(dim, 0).array.reshape(-1, dim + 1)[: len(layer)]
     rows = of_cells.astype(np.int64) * count + layer[:, None]
@@ -108,9 +110,11 @@ def moments(expression: Expr, patches: Patches) -> Array:
     The shape is (n_c, 1 + d, components). An expression of another mesh is a ValueError, one that
     is not finite an ArithmeticError. Collective.
     """
-    mesh, n_cells = patches.mesh, len(patches.rows)
+    mesh = patches.mesh
+    n_cells = len(patches.rows)
     size = int(np.prod(expression.ufl_shape))
-    integrals, wrong = np.zeros((n_cells, len(patches.weights), size)), 0
+    integrals = np.zeros((n_cells, len(patches.weights), size))
+    wrong = 0
     on_mesh = dolfinx.fem.Constant(mesh, np.float64(1.0)) * expression  # a number knows no mesh
     domains = extract_domains(on_mesh)
     if any(domain != mesh.ufl_domain() for domain in domains):
@@ -137,12 +141,19 @@ def moments(expression: Expr, patches: Patches) -> Array:
 
 
 def recover(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array:
-    """Fit a field that is continuous in each layer to what :func:`moments` returns. Collective.
+    """Fit a field that is continuous in each layer to moments of a field. Collective.
 
-    ``means`` fits the means over the cells, not the values inside them. Returns values at the nodes
-    of the discontinuous quadratic element, (n_c, nodes, components).
+    Args:
+        patches: The patches.
+        data: Moments of the field in each cell, from :func:`moments`, (n_c, rows, components).
+        means: Whether the means over the cells are fitted, not the values inside them.
+        sweeps: Number of fits, each to the remainder of those before.
+
+    Returns:
+        Values at the nodes of the discontinuous quadratic element, (n_c, nodes, components).
     """
-    mesh, (n_cells, n_rows, size) = patches.mesh, data.shape
+    mesh = patches.mesh
+    n_cells, n_rows, size = data.shape
     dim = n_rows - 1
     corners = mesh.geometry.x[geometry_dofmap(mesh)[:n_cells], :dim]
     edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)  # dx/dX
@@ -163,19 +174,21 @@ def recover(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array
     φ = space.element.basix_element.tabulate(0, patches.points)[0, :, :, 0]
     to_moments = patches.weights @ φ
     hats = np.column_stack([1.0 - nodes.sum(axis=1), nodes])
-    at = hats @ corners
+    x_nodes = hats @ corners
     field = np.zeros((n_cells, len(nodes), size))
     for _ in range(sweeps):
-        left = data - to_moments @ field
-        product = x[:, :, None] * left[:, :1]  # means of x f
+        remainder = data - to_moments @ field
+        product = x[:, :, None] * remainder[:, :1]  # means of x f
         if not means:
-            product += edges @ left[:, 1:]
-        parts = np.concatenate([left[:, :1], product], axis=1).reshape(n_cells, n_rows * size)
+            product += edges @ remainder[:, 1:]
+        rows = np.concatenate([remainder[:, :1], product], axis=1)
+        parts = rows.reshape(n_cells, n_rows * size)
         fits = (patches.sums(volumes * parts) / volume).reshape(-1, n_rows, size)
-        mean, product = fits[:, :1], fits[:, 1:]
+        mean = fits[:, :1]
+        product = fits[:, 1:]
         slope = inverse @ (product - centre[:, :, None] * mean)  # cov(x, x)⁺ cov(x, f)
         for hat, v in zip(hats.T, patches.rows.T, strict=True):  # f* += Σ φ_v (m_v + G_v (x − x̄_v))
-            field += hat[:, None] * (mean[v] + (at - centre[v, None]) @ slope[v])
+            field += hat[:, None] * (mean[v] + (x_nodes - centre[v, None]) @ slope[v])
     return field
 
 

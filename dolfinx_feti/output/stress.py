@@ -4,7 +4,7 @@
 r"""Recovered stresses, more accurate than those inside the cells (docs/stresses.md).
 
 *By patches*, for elements with a pressure P_0: fits to the values inside the cells recover the
-traction across the wall, fits to their means the stress along it, and with the normal n
+traction across the wall, fits to their means the stress along the wall. With the normal n,
 :math:`σ^* = σ^{in} + T (σ^{means} - σ^{in}) T`, :math:`T = I - n ⊗ n`. *By balance*, for elements
 of second order: with the projection Π to linear functions, σ* = σ + (Π(n·σ n) − n·σ n) I.
 """
@@ -25,7 +25,7 @@ from dolfinx_feti.output.patches import Patches, moments, recover
 
 __all__ = ["balanced_stress", "recovered_field"]
 
-#: Fits of a field; more of them change little.
+#: Fits of a field, each to the remainder of those before; further ones change little.
 SWEEPS = 3
 
 #: Variation inside the cells, relative to the largest mean, below which a field is constant there.
@@ -40,8 +40,8 @@ def recovered_field(
     Args:
         expression: The field; a stress in full, with its pressure part.
         patches: Patches of its mesh, see :func:`~dolfinx_feti.output.patches.create_patches`.
-        normal: A vector normal to the wall, of any length but zero, of one sign in neighbouring
-            cells; for a Cauchy stress that of the deformed wall, F⁻ᵀ ê₂, with the transmural ê₂.
+        normal: A vector normal to the wall, not zero, with the same sign in neighbouring cells; for
+            a Cauchy stress that of the deformed wall, F⁻ᵀ ê₂, with the transmural ê₂.
         name: Name of the result.
 
     Returns:
@@ -49,15 +49,16 @@ def recovered_field(
         between layers. Fields that are linear in each layer are reproduced.
 
     Raises:
-        ValueError: The expression lives on another mesh than the patches, or a normal is given for
-            what is no stress or is no vector.
+        ValueError: The expression is on another mesh than the patches, a normal is given for a
+            field that is not a stress, or the normal is not a vector.
         ArithmeticError: The expression is NaN or infinite somewhere, or the normal is zero.
 
     Note:
         Collective.
     """
     mesh = patches.mesh
-    shape, dim = expression.ufl_shape, mesh.geometry.dim
+    shape = expression.ufl_shape
+    dim = mesh.geometry.dim
     if normal is not None and (shape != (dim, dim) or normal.ufl_shape != (dim,)):
         raise ValueError(
             f"A normal of shape {normal.ufl_shape} is given for a field of shape {shape}: give a "
@@ -66,8 +67,8 @@ def recovered_field(
     data = moments(expression, patches)
     largest = [np.abs(part).max(initial=0.0) for part in (data[:, 1:], data[:, :1])]
     variation, mean = np.max(mesh.comm.allgather(largest), axis=0)
-    constant = bool(variation <= CONSTANT * mean)  # in each cell, on all processes
-    field = recover(patches, data, means=constant, sweeps=SWEEPS)
+    is_constant = bool(variation <= CONSTANT * mean)  # in each cell, on all processes
+    field = recover(patches, data, means=is_constant, sweeps=SWEEPS)
     if normal is not None:
         n = recover(patches, moments(normal, patches), means=True, sweeps=1)
         length = np.linalg.norm(n, axis=2, keepdims=True)
@@ -91,26 +92,27 @@ def recovered_field(
 def balanced_stress(
     stress: Expr, u: dolfinx.fem.Function, *, normal: Expr, degree: int | None = None
 ) -> Expr:
-    """Put the pressure of a Cauchy stress right by the traction on surfaces along the wall.
+    """Correct the pressure of a Cauchy stress by the traction on surfaces along the wall.
 
     Args:
         stress: The stress, with its pressure part, shape (d, d).
         u: Displacement, of second order; its mesh is that of the stress.
-        normal: Normal of the deformed wall, of any length but zero, F⁻ᵀ ê₂, shape (d,).
-        degree: Of the quadrature inside the cells; twice the degree of u if not given.
+        normal: Normal of the deformed wall, not zero, F⁻ᵀ ê₂, shape (d,).
+        degree: Degree of the quadrature inside the cells; twice the degree of u if not given.
 
     Returns:
-        σ*, whose Π(n·σ n) is that of the present state.
+        σ*, with the Π(n·σ n) of the current state.
 
     Raises:
-        ValueError: The stress is no tensor on the mesh, or the normal is no vector.
-        ArithmeticError: A stress is NaN or infinite somewhere, or a normal zero.
+        ValueError: The stress is not a tensor, or the normal is not a vector.
+        ArithmeticError: A stress is NaN or infinite somewhere, or a normal is zero.
 
     Note:
         Collective.
     """
     V = u.function_space
-    mesh, dim = V.mesh, V.mesh.geometry.dim
+    mesh = V.mesh
+    dim = V.mesh.geometry.dim
     if stress.ufl_shape != (dim, dim) or normal.ufl_shape != (dim,):
         raise ValueError(
             f"A stress of shape {stress.ufl_shape} with a normal of shape {normal.ufl_shape}: give "

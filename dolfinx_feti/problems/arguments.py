@@ -1,7 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The arguments that dolfinx's problem classes take, from 0.9 to 0.11: served, or answered."""
+"""Checks of the arguments that dolfinx's problem classes take, from 0.9 to 0.11.
+
+A function ``require_…`` raises an error or returns nothing; one called ``checked_…`` returns its
+argument in the form that the package uses.
+"""
 
 from __future__ import annotations
 
@@ -12,36 +16,30 @@ from mpi4py import MPI
 
 import numpy as np
 
-import basix
 import dolfinx
 import ufl
 from ufl.finiteelement import AbstractFiniteElement
 
 from dolfinx_feti.fem.checks import check_space
+from dolfinx_feti.problems.unknowns.alternatives import alternative_for
+from dolfinx_feti.problems.unknowns.mixed_of_one import MixedOfOne
 from dolfinx_feti.runtime.petsc_options import require_prefix
-from dolfinx_feti.scalars.equations import is_real
 
-#: What to do in place of a problem in several fields: with a pressure, with a flux, with others.
-INSTEAD = {
-    "pressure": "Condense a discontinuous pressure of an elastic solid, "
-    "NonlinearProblem([F_u, F_p], u, bcs=bcs, condense=p) or LinearProblem(a, L, bcs=bcs, "
-    "condense=p), with bcs on the space of u alone and p in F_p, as in (J - 1 - p/kappa)*q: see "
-    "docs/elements.md. A pressure that is continuous, or has no term of its own, as in Stokes' "
-    "equations, is solved by dolfinx, with MUMPS or a field split.",
-    "flux": "Solve it by dolfinx, with MUMPS or a field split; or, if the vector is a flux −k ∇p, "
-    "solve −div(k ∇p) = f for p alone, in ('Lagrange', k), and interpolate the flux.",
-    "other": "Solve it by dolfinx, with MUMPS or a field split.",
-}
-
-#: How many problems of each kind have been given a prefix.
-_made: Counter[str] = Counter()
+#: Number of default prefixes of each kind so far. PETSc's database of options, in which they have
+#: to differ, is global to the process, and so is this counter.
+_default_prefixes: Counter[str] = Counter()
 
 
-def agreed_prefix(prefix: str | None, kind: str, comm: MPI.Comm) -> str:
-    """Check a prefix of options, or make one of this kind that no other problem has. Collective.
+def checked_prefix(prefix: str | None, kind: str, comm: MPI.Comm) -> str:
+    """Return the prefix of options: the user's, or a unique one if none is given. Collective.
+
+    Args:
+        prefix: The user's prefix, or None.
+        kind: Begins the default prefix.
+        comm: Communicator of the problem.
 
     Raises:
-        ValueError: The prefix is no string or empty, or not the same on all processes.
+        ValueError: The prefix is not a string, is empty, or differs between processes.
     """
     first, *others = comm.allgather(prefix)
     for rank, other in enumerate(others, start=1):
@@ -52,107 +50,177 @@ def agreed_prefix(prefix: str | None, kind: str, comm: MPI.Comm) -> str:
             )
     if prefix is not None:
         return require_prefix(prefix)
-    count = comm.allreduce(_made[kind], op=MPI.MAX)  # some may live on fewer processes
-    _made[kind] = count + 1
+    # processes may have created different numbers of problems, on communicators of a few of them
+    count = comm.allreduce(_default_prefixes[kind], op=MPI.MAX)
+    _default_prefixes[kind] = count + 1
     return f"{kind}_{count}_"
 
 
-def checked_conditions(
-    V: dolfinx.fem.FunctionSpace, bcs: Sequence[dolfinx.fem.DirichletBC] | None
-) -> tuple[dolfinx.fem.DirichletBC, ...]:
-    """Check the space of the unknown, and return its boundary conditions.
+def require_torn_space(V: dolfinx.fem.FunctionSpace, forms: object = ()) -> None:
+    """Check that a space can be torn.
+
+    Args:
+        V: The space.
+        forms: Forms of the problem, in sequences or not, which the message about a mixed element
+            depends on.
 
     Raises:
-        TypeError: V is neither scalar nor blocked, or not continuous.
-        ValueError: ``bcs`` is a condition alone, or holds something else or one on another space.
+        TypeError: The space is neither scalar nor blocked, or not continuous.
     """
     element = V.ufl_element()
-    parts = list(element.sub_elements)
-    if parts and getattr(element, "block_size", 1) == 1:
-        raise TypeError(f"The space has a mixed element of {len(parts)}{_instead(parts)}")
+    sub_elements = list(element.sub_elements)
+    if sub_elements and getattr(element, "block_size", 1) == 1:
+        raise TypeError(
+            f"The space has a mixed element of {len(sub_elements)}"
+            f"{alternative_for(sub_elements, forms)}"  # ", but …" with what helps
+        )
     check_space(V)
+
+
+def checked_conditions(
+    V: dolfinx.fem.FunctionSpace,
+    bcs: Sequence[dolfinx.fem.DirichletBC] | None,
+    *,
+    fields: Sequence[dolfinx.fem.Function] = (),
+    mixed: MixedOfOne | None = None,
+) -> tuple[dolfinx.fem.DirichletBC, ...]:
+    """Return the boundary conditions of a problem as a tuple.
+
+    Args:
+        V: Space of the unknown that is torn.
+        bcs: The user's conditions.
+        fields: Condensed fields, which take no conditions.
+        mixed: The user's unknown, if it has a mixed element with one part, of which V is the space:
+            conditions are on the mixed space.
+
+    Raises:
+        ValueError: ``bcs`` is a condition alone, or contains something else or one on another
+            space.
+    """
     if isinstance(bcs, dolfinx.fem.DirichletBC):
         raise ValueError("bcs is a Dirichlet condition alone: put it in a list, bcs=[bc].")
     conditions = tuple(bcs or ())
+    if mixed is not None:
+        V = mixed.w.function_space
     for i, bc in enumerate(conditions):
-        if not isinstance(bc, dolfinx.fem.DirichletBC):
-            raise ValueError(f"bcs[{i}] is {bc!r}: give what dolfinx.fem.dirichletbc returns.")
-        space = bc._cpp_object.function_space
-        if space != V._cpp_object and not V._cpp_object.contains(space):
-            raise ValueError(
-                f"bcs[{i}] lives on another function space than the unknown: make it with the "
-                "unknown's own space V, or with V.sub(i) for one component."
-            )
+        _require_condition(f"bcs[{i}]", bc, V, fields)
     return conditions
 
 
-def require_forms(**forms: object) -> None:
-    """Refuse block forms, mixed ones and compiled ones, by the names of the arguments.
+def _require_condition(
+    name: str,
+    bc: dolfinx.fem.DirichletBC,
+    V: dolfinx.fem.FunctionSpace,
+    fields: Sequence[dolfinx.fem.Function],
+) -> None:
+    """Check a Dirichlet condition on V.
 
     Raises:
-        ValueError: One is no form of UFL.
-        TypeError: One has coefficients or constants of other numbers than float64.
+        ValueError: It is no condition, is on another space, or has dofs that V does not have.
     """
-    for name, form in forms.items():
-        _refuse_blocks(name, form)
-        if isinstance(form, dolfinx.fem.Form):
-            raise ValueError(
-                f"{name} is a compiled form, which cannot be torn any more: give the form of UFL."
-            )
-        if not isinstance(form, ufl.Form):
-            raise ValueError(f"{name} is {form!r}: give a form of UFL.")
-        tests = [v for v in form.arguments() if v.number() == 0]
-        if len(tests) > 1:
-            parts = [v.ufl_function_space().ufl_element() for v in tests]
-            raise ValueError(f"{name} has {len(parts)} test functions{_instead(parts)}")
-        for f in (*form.coefficients(), *form.constants()):
-            dtype = np.dtype(getattr(f, "dtype", np.float64))
-            if dtype != np.float64:
-                raise TypeError(
-                    f"{name} contains {f}, of type {dtype}, but forms are real (float64) here: "
-                    "give its real and imaginary parts as two functions of dtype numpy.float64."
+    if not isinstance(bc, dolfinx.fem.DirichletBC):
+        raise ValueError(f"{name} is {bc!r}: give what dolfinx.fem.dirichletbc returns.")
+    space = bc._cpp_object.function_space
+    if space != V._cpp_object and not V._cpp_object.contains(space):
+        for p in fields:
+            Q = p.function_space._cpp_object
+            if space == Q or Q.contains(space):
+                raise ValueError(
+                    f"{name} prescribes '{p.name}', which is condensed cell by cell and takes no "
+                    "conditions: leave it out. To prescribe values of a field, put a known "
+                    "Function into the forms in its place."
                 )
-
-
-def _refuse_blocks(name: str, given: object) -> None:
-    """Refuse several forms or functions."""
-    if not isinstance(given, Sequence) or isinstance(given, str):
-        return
-    if len(given) == 1:
-        raise ValueError(f"{name} is a list of one: take it out of the list.")
-    if name == "J":
-        raise ValueError("J is a block: give the derivative of F_u in u alone, or leave it out.")
-    functions = all(isinstance(part, dolfinx.fem.Function) for part in given)
-    if functions and any(is_real(f.function_space) for f in given):
         raise ValueError(
-            f"{name} is a block of {len(given)} with scalars on real spaces: give them by "
-            "scalars=, or all by residuals, NonlinearProblem([F_u, F_s], [u, s])."
+            f"{name} lives on another function space than the unknown: make it with the unknown's "
+            "own space V, or with V.sub(i) for one component."
         )
-    parts = [element for element in map(_element, given) if element is not None]
-    raise ValueError(f"{name} is a block of {len(given)}{_instead(parts)}")
+    dofs = bc.dof_indices()[0]
+    index_map = V.dofmap.index_map
+    size = (index_map.size_local + index_map.num_ghosts) * V.dofmap.index_map_bs
+    if dofs.max(initial=0) >= size:
+        raise ValueError(
+            f"{name} prescribes dof {dofs.max()}, but the space has {size} on this process: give "
+            "dofs of this space as dolfinx.fem.locate_dofs_topological returns them, one number "
+            "for all components of a node."
+        )
 
 
-def _element(part: object) -> AbstractFiniteElement | None:
-    """Return the element of a function, or of the test function of a form or a row of blocks."""
-    while isinstance(part, list | tuple):
-        part = next((entry for entry in part if entry is not None), None)
-    if isinstance(part, ufl.Form):
-        part = next(iter(part.arguments()), None)
-    return part.ufl_element() if isinstance(part, ufl.Argument | ufl.Coefficient) else None
+def require_form(name: str, form: object) -> None:
+    """Check that an argument is a single form of UFL in float64.
+
+    Args:
+        name: What the message calls it.
+        form: The argument.
+
+    Raises:
+        ValueError: It is no form of UFL, is compiled, or has several test functions.
+        TypeError: It has coefficients or constants of other numbers than float64.
+    """
+    _require_single(name, form)
+    if isinstance(form, dolfinx.fem.Form):
+        raise ValueError(
+            f"{name} is a compiled form, which cannot be torn any more: give the form of UFL."
+        )
+    if not isinstance(form, ufl.Form):
+        raise ValueError(f"{name} is {form!r}: give a form of UFL.")
+    tests = [v for v in form.arguments() if v.number() == 0]
+    if len(tests) > 1:
+        elements = [v.ufl_function_space().ufl_element() for v in tests]
+        raise ValueError(f"{name} has {len(tests)} test functions{alternative_for(elements, form)}")
+    for f in (*form.coefficients(), *form.constants()):
+        dtype = np.dtype(getattr(f, "dtype", np.float64))
+        if dtype != np.float64:
+            raise TypeError(
+                f"{name} contains {f}, of type {dtype}, but forms are real (float64) here: "
+                "give its real and imaginary parts as two functions of dtype numpy.float64."
+            )
 
 
-def _instead(parts: Sequence[AbstractFiniteElement]) -> str:
-    """Say what to do in place of a problem in several fields."""
-    ranks = sorted(len(part.reference_value_shape) for part in parts)
-    kind = "pressure" if ranks == [0, 1] else "other"
-    fluxes = {basix.SobolevSpace.HDiv, basix.SobolevSpace.HCurl}
-    if fluxes.intersection(part.basix_sobolev_space for part in parts):
-        kind = "flux"
-    return f", but only a problem on one continuous space is torn. {INSTEAD[kind]}"
+def _require_single(name: str, argument: object) -> None:
+    """Check that an argument is not a sequence of forms or functions.
+
+    Raises:
+        ValueError: It is one.
+    """
+    if not isinstance(argument, Sequence) or isinstance(argument, str):
+        return
+    elements = [element for element in map(_element_of, argument) if element is not None]
+    raise ValueError(f"{name} is a block of {len(argument)}{alternative_for(elements, argument)}")
+
+
+def _element_of(entry: object) -> AbstractFiniteElement | None:
+    """Return the element of a function, or of the test function of a form or a row of forms.
+
+    None is returned for other objects.
+    """
+    while isinstance(entry, list | tuple):
+        entry = next((block for block in entry if block is not None), None)
+    if isinstance(entry, ufl.Form):
+        entry = next(iter(entry.arguments()), None)
+    if isinstance(entry, ufl.Argument | ufl.Coefficient):
+        return entry.ufl_element()
+    return None
+
+
+def require_callable(before_assembly: object) -> None:
+    """Check that ``before_assembly`` can be called.
+
+    Raises:
+        ValueError: It cannot be called.
+    """
+    if not callable(before_assembly):
+        raise ValueError(
+            f"before_assembly is {before_assembly!r}: give a function of u, such as "
+            "lambda u: update_stress(u)."
+        )
 
 
 def require_function(u: object) -> None:
-    """Refuse several unknowns, and what is no function."""
-    _refuse_blocks("u", u)
+    """Check that an unknown is a single Function.
+
+    Raises:
+        ValueError: It is another object, or a sequence.
+    """
+    _require_single("u", u)
     if not isinstance(u, dolfinx.fem.Function):
         raise ValueError(f"u is {u!r}: give a dolfinx.fem.Function.")

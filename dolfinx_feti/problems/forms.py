@@ -1,68 +1,153 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The forms of a problem: residuals, tangent and energy from what the user gives.
+r"""The forms of a problem: residuals, tangent and energy from the user's forms.
 
 A linear problem is one Newton step from zero:
 
 .. math:: \begin{pmatrix} A & A_{up} \\ A_{pu} & A_{pp} \end{pmatrix}
           \begin{pmatrix} u \\ p \end{pmatrix} = \begin{pmatrix} L \\ L_p \end{pmatrix}
 
-is :math:`r(0) + r'(0)\, (u, p) = 0` with :math:`r_u = A_{up}\, p - L` (A u is zero there) and
-:math:`r_p = A_{pu}\, u + A_{pp}\, p - L_p`.
+is :math:`r(0) + r'(0)\, (u, p) = 0` with :math:`r_u = A u + A_{up}\, p - L` and
+:math:`r_p = A_{pu}\, u + A_{pp}\, p - L_p`. At zero A u vanishes and is left out, so that A need
+not be compiled as an action; the other terms stay, because their derivatives are A_up, A_pu, A_pp.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import dolfinx
 import ufl
 from ufl import classes
 from ufl.algorithms import extract_coefficients
-from ufl.core.expr import Expr
 from ufl.corealg.traversal import unique_pre_traversal
 
-from dolfinx_feti.fem.checks import check_condensed, check_forms
+from dolfinx_feti.contact.contact import Contact
+from dolfinx_feti.fem.checks import check_condensed, check_forms, check_meshes
 from dolfinx_feti.fem.quadrature import (
-    estimated_quadrature_degree,
+    highest_estimate,
     limit_quadrature_degree,
     match_quadrature_degree,
+    quadrature_degrees,
+    set_quadrature_degrees,
 )
-from dolfinx_feti.problems.arguments import checked_conditions, require_forms
+from dolfinx_feti.mechanics.deformation import VolumeRatio, find_volume_ratio
+from dolfinx_feti.problems.arguments import require_form, require_torn_space
+from dolfinx_feti.problems.unknowns.block_forms import split_linear, without_parts, zero_load
+from dolfinx_feti.problems.unknowns.compression import Compression, potential_of, with_compression
+from dolfinx_feti.problems.unknowns.mixed_of_one import MixedOfOne
 from dolfinx_feti.runtime.collective import warn
 
-#: How often twice the polynomial degree an estimated quadrature degree may be without a warning.
-EXPLOSIVE = 3
+#: Blocks of a bilinear form; None is a zero block.
+Blocks = Sequence[Sequence[ufl.Form | None]]
 
-_ABSENT = "The unknown '{0}' does not occur in F: pass the Function that F is written in."
+#: An estimated quadrature degree above this multiple of twice the polynomial degree is logged. In
+#: 3D three times the degree takes 3³ times as many points. It is a choice, not measured.
+EXCESSIVE_DEGREE = 3
+
+#: UFL's functions with a kink, as they are written.
+KINKS = {
+    classes.Abs: "abs",
+    classes.MinValue: "min_value",
+    classes.MaxValue: "max_value",
+    classes.Conditional: "conditional",
+}
+
+_ABSENT = (
+    "The unknown '{0}' does not occur in F: pass the Function that F is written in. If F holds a "
+    "stress that is computed outside of UFL, pass its tangent, too, by J=, and what updates the "
+    "stress by before_assembly=."
+)
+
+_CONSTANT = (
+    "The unknown '{0}' does not occur in F, so that the residual stays the same from step to step: "
+    "pass before_assembly=update, a function that updates what F holds from the present '{0}'."
+)
+
+
+class FieldEquation(NamedTuple):
+    """The equation of a condensed field."""
+
+    residual: ufl.Form  # tested with q
+    field: dolfinx.fem.Function
 
 
 @dataclass(frozen=True, slots=True)
 class Forms:
-    """The forms of a problem."""
+    """The forms of a problem, on one unknown that is torn and fields that are condensed.
 
-    u: dolfinx.fem.Function  # the unknown; a zero one of a linear problem
-    F_u: ufl.Form  # residual tested with v
-    J: ufl.Form  # tangent of F_u in u
-    condense: tuple[tuple[ufl.Form, dolfinx.fem.Function], ...] = ()  # residual, field
-    energy: ufl.Form | None = None  # their potential, if there is one
-    symmetric: bool | None = None  # is J the second derivative of an energy? None if nobody knows
-    volume_ratio: Expr | None = None  # what is positive at the points of a quadrature of a degree
+    :func:`derive` and :func:`linear_forms` set what follows from the user's forms. The problem
+    classes add ``volume_ratio``, ``degree``, ``mixed`` and ``scalar_forms`` in a copy.
+
+    Attributes:
+        u: The unknown that is torn; a Function of value zero of a linear problem.
+        F_u: Residual tested with v.
+        J: Tangent of F_u in u.
+        blocks: Blocks of the tangent in u and the fields, (1 + fields, 1 + fields), of which None
+            is a zero block; None if the blocks are to be derived.
+        field_equations: Residual and Function of each condensed field.
+        energy: Potential of all residuals; None if there is none.
+        symmetric: Whether J is the second derivative of an energy; None if unknown.
+        has_given_tangent: Whether J is the user's own.
+        volume_ratio: det F, positive in admissible states; None if the forms contain no F.
+        degree: Degree of the quadrature at whose points the volume ratio is evaluated; without
+            effect if there is none.
+        contacts: Contacts; F_u, J and the energy contain their integrals.
+        mixed: The user's unknown, if that has a mixed element of one; else None.
+        compression: Terms added to the equations of incompressible fields; None without any.
+        scalar_forms: Function and residual whose derivatives couple scalars to u, if these are not
+            u and F_u: of a linear problem, whose u is zero, the solution and the terms of scalars.
+    """
+
+    u: dolfinx.fem.Function
+    F_u: ufl.Form
+    J: ufl.Form
+    blocks: Blocks | None = None
+    field_equations: tuple[FieldEquation, ...] = ()
+    energy: ufl.Form | None = None
+    symmetric: bool | None = None
+    has_given_tangent: bool = False
+    volume_ratio: VolumeRatio | None = None
     degree: int = 0
+    contacts: tuple[Contact, ...] = ()
+    mixed: MixedOfOne | None = None
+    compression: Compression | None = None
+    scalar_forms: tuple[dolfinx.fem.Function, ufl.Form] | None = None
+
+    @property
+    def kinks(self) -> tuple[str, ...]:
+        """The functions of UFL in the residuals with a kink in u or in a condensed field.
+
+        Those of contacts are left out: whole steps cross them (``line_search.WholeStep``).
+        """
+        unknowns = {self.u, *(equation.field for equation in self.field_equations)}
+        multipliers = {contact.multiplier for contact in self.contacts}
+        names = set()
+        for form in self.residuals:
+            for integral in form.integrals():
+                integrand = integral.integrand()
+                if not multipliers.isdisjoint(extract_coefficients(integrand)):
+                    continue
+                for node in unique_pre_traversal(integrand):
+                    if type(node) not in KINKS:
+                        continue
+                    if not unknowns.isdisjoint(extract_coefficients(node)):
+                        names.add(KINKS[type(node)])
+        return tuple(sorted(names))
 
     @property
     def residuals(self) -> list[ufl.Form]:
-        """All of them: that of u and those of the fields."""
-        return [self.F_u, *(F_p for F_p, _ in self.condense)]
+        """The residual of u and those of the fields."""
+        return [self.F_u, *(equation.residual for equation in self.field_equations)]
 
 
-def condensed_fields(
+def as_tuple(
     condense: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None,
 ) -> tuple[dolfinx.fem.Function, ...]:
-    """Return the fields to be condensed: none, one, or several."""
+    """Return the argument ``condense`` as a tuple of fields."""
     if condense is None:
         return ()
     return tuple(condense) if isinstance(condense, Sequence) else (condense,)
@@ -72,61 +157,202 @@ def derive(
     F: ufl.Form | Sequence[ufl.Form],
     u: dolfinx.fem.Function,
     *,
-    J: ufl.Form | None,
+    J: ufl.Form | Blocks | None,
     condense: Sequence[dolfinx.fem.Function],
     energy: ufl.Form | None,
     degree: int | None,
     work: Sequence[ufl.Form] = (),
+    updates_coefficients: bool = False,
+    contacts: Sequence[Contact] = (),
 ) -> Forms:
     """Derive and check the forms of a :class:`NonlinearProblem`, whose arguments these are.
 
-    ``degree`` is the highest of integrals that state none; None for no bound. ``work`` is what
-    scalar unknowns add to the residual of u; an energy is no potential then.
+    The order matters: degrees are stated before anything is derived; terms of scalars are added
+    before the tangent is derived, which contains them; contacts are added last, as their forms
+    state degrees and come with a tangent.
+
+    Args:
+        F: An energy, a residual, or residuals.
+        u: The unknown that is torn.
+        J: Tangent, or its blocks in u and ``condense``.
+        condense: Condensed fields.
+        energy: Potential of the residuals.
+        degree: Highest quadrature degree of integrals whose measure states none; None for no bound.
+        work: Terms that scalar unknowns add to the residual of u. The sum has no potential: that of
+            a saddle point does not fall from step to step.
+        updates_coefficients: Whether coefficients change with the state: then F may lack u, and an
+            energy that is given as F is not a potential, because its derivative ignores them.
+        contacts: Contacts, whose integrals state their degree.
 
     Raises:
         ValueError: The forms do not fit each other, or the unknowns.
         TypeError: A field cannot be condensed.
     """
+    V = u.function_space
+    trial = ufl.TrialFunction(V)
+    J_u, blocks = _split_tangent(J, condense)
+    _check_given(F, J_u, energy, u, condense)
+    is_energy = isinstance(F, ufl.Form) and not F.arguments()
+    potential = energy
+    if is_energy and not updates_coefficients:
+        potential = F
+    has_given_tangent = J_u is not None
 
-    def limited(form: ufl.Form) -> ufl.Form:
-        return form if degree is None else limit_quadrature_degree(form, degree)
+    # quadrature: UFL estimates degrees anew for derivatives, and would integrate another function.
+    # So the degrees of the residuals are stated in all forms before anything is derived.
+    F_u, *F_p = [_limited(form, degree) for form in _residuals(F, u, condense)]
+    F_scalars = _limited(sum(work, ufl.Form([])), degree)
+    degrees = quadrature_degrees(F_u + F_scalars, *F_p)
+    if degree is None:
+        _warn_of_degree(highest_estimate(degrees, F_u + F_scalars, *F_p), V)
 
-    for form in F if isinstance(F, Sequence) else [F]:
-        require_forms(F=form)
-    given = {"J": J, "energy": energy}
-    require_forms(**{name: form for name, form in given.items() if form is not None})
-    check_condensed(condense, u)
-    symmetric = None
-    if isinstance(F, ufl.Form) and not F.arguments():
-        if energy is not None and not F.equals(energy):
-            raise ValueError(
-                "energy is not F, which is an energy itself and the one that is minimised: leave "
-                "energy out, or give the residuals as F."
-            )
-        energy, symmetric = F, True if J is None else None
-    F_u, *F_p = _residuals(F, u, condense)
+    def with_degrees(form: ufl.Form) -> ufl.Form:
+        return set_quadrature_degrees(_limited(form, degree), degrees)
+
+    F_u = with_degrees(F_u)
+    F_scalars = with_degrees(F_scalars)
+    F_p = [with_degrees(form) for form in F_p]
+    if J_u is not None:  # as a rule UFL's derivative of F, with other degrees
+        J_u = with_degrees(J_u)
+    if blocks is not None:
+        blocks = [_map_forms(with_degrees, row) for row in blocks]
+
+    # terms of incompressible fields
+    F_p, blocks, compression = with_compression(u, condense, F_u, F_p, blocks)
+    if potential is not None and compression is not None:
+        potential += potential_of(compression, condense)
+
+    # terms of scalars
     if work:
-        added = sum(work, ufl.Form([]))
-        J = J if J is None else J + ufl.derivative(added, u, ufl.TrialFunction(u.function_space))
-        F_u, energy, symmetric = F_u + added, None, None
-    F_u = limited(F_u)
-    J = ufl.derivative(F_u, u, ufl.TrialFunction(u.function_space)) if J is None else J
-    check_forms(u.function_space, F=(F_u, 1), J=(J, 2))
-    if u not in F_u.coefficients():
+        if J_u is not None:
+            J_u = J_u + ufl.derivative(F_scalars, u, trial)
+        F_u = F_u + F_scalars
+        potential = None
+
+    # tangent
+    if J_u is None:
+        J_u = ufl.derivative(F_u, u, trial)
+    check_forms(V, F=(F_u, 1), J=(J_u, 2))
+    _check_contains(F_u, u, has_tangent=has_given_tangent, updates=updates_coefficients)
+    if potential is not None:
+        potential = match_quadrature_degree(_limited(potential, degree), F_u)
+
+    # contacts
+    for contact in contacts:
+        F_u += contact.work
+        J_u += contact.tangent
+        if potential is not None:
+            potential += contact.energy
+
+    is_second_derivative = is_energy and not has_given_tangent and not work
+    return Forms(
+        u=u,
+        F_u=F_u,
+        J=J_u,
+        blocks=blocks,
+        field_equations=tuple(map(FieldEquation, F_p, condense)),
+        energy=potential,
+        symmetric=True if is_second_derivative else None,
+        has_given_tangent=has_given_tangent,
+        contacts=tuple(contacts),
+        compression=compression,
+    )
+
+
+def _map_forms(
+    change: Callable[[ufl.Form], ufl.Form], row: Sequence[ufl.Form | None]
+) -> list[ufl.Form | None]:
+    """Return a row of blocks with a change of each form; zero blocks stay None."""
+    return [None if form is None else change(form) for form in row]
+
+
+def _limited(form: ufl.Form, degree: int | None) -> ufl.Form:
+    """Return a form with quadrature degrees up to a bound, if there is one."""
+    return form if degree is None else limit_quadrature_degree(form, degree)
+
+
+def _check_given(
+    F: ufl.Form | Sequence[ufl.Form],
+    J: ufl.Form | None,
+    energy: ufl.Form | None,
+    u: dolfinx.fem.Function,
+    condense: Sequence[dolfinx.fem.Function],
+) -> None:
+    """Check the user's forms and fields.
+
+    Raises:
+        ValueError: They are not forms on the mesh of u, or the energy is not F although F is one.
+        TypeError: A field cannot be condensed.
+    """
+    forms = list(F) if isinstance(F, Sequence) else [F]
+    for form in forms:
+        require_form("F", form)
+    given = {name: form for name, form in (("J", J), ("energy", energy)) if form is not None}
+    for name, form in given.items():
+        require_form(name, form)
+    for form in forms:
+        check_meshes(u.function_space, F=form, **given)
+    check_condensed(condense, u)
+    if not isinstance(F, ufl.Form) or F.arguments() or energy is None:
+        return
+    if not F.equals(energy):
+        raise ValueError(
+            "energy is not F, which is an energy itself and the one that is minimised: leave "
+            "energy out, or give the residuals as F."
+        )
+
+
+def _check_contains(
+    F_u: ufl.Form, u: dolfinx.fem.Function, *, has_tangent: bool, updates: bool
+) -> None:
+    """Check that u occurs in a residual, or else that its tangent is given.
+
+    Args:
+        F_u: The residual.
+        u: The unknown.
+        has_tangent: Whether the user gives the tangent.
+        updates: Whether coefficients are updated with the state; if not, that is logged.
+
+    Raises:
+        ValueError: u does not occur, and there is no tangent.
+    """
+    if u in F_u.coefficients():
+        return
+    if not has_tangent:
         raise ValueError(_ABSENT.format(u.name))
-    if energy is not None:
-        energy = match_quadrature_degree(limited(energy), F_u)
-    fields = tuple(zip(map(limited, F_p), condense, strict=True))
-    twice = 2 * u.function_space.ufl_element().embedded_superdegree
-    estimate = 0 if degree is not None else max(map(estimated_quadrature_degree, (F_u, *F_p)))
-    if estimate > EXPLOSIVE * twice:
+    if not updates:
+        warn(_CONSTANT.format(u.name), u.function_space.mesh.comm)
+
+
+def _split_tangent(
+    J: ufl.Form | Blocks | None, condense: Sequence[dolfinx.fem.Function]
+) -> tuple[Any, Blocks | None]:
+    """Return the tangent of F_u in u, and the blocks of the tangent in all unknowns.
+
+    Returns:
+        J_uu, None if the user gives no tangent, or an object that is not a form, for a later check;
+        the blocks, None if J is not given in blocks.
+
+    Raises:
+        ValueError: There are blocks, but none of u.
+    """
+    if not condense or J is None or isinstance(J, ufl.Form) or not isinstance(J, Sequence):
+        return J, None
+    if J[0][0] is None:
+        raise ValueError("J has no block of u, J[0][0]: a tangent that is zero cannot be torn.")
+    return J[0][0], J
+
+
+def _warn_of_degree(estimate: int, V: dolfinx.fem.FunctionSpace) -> None:
+    """Log a quadrature degree, estimated by UFL, that costs far more than it is worth."""
+    degree = 2 * V.ufl_element().embedded_superdegree
+    if estimate > EXCESSIVE_DEGREE * degree:
         warn(
             f"UFL estimates a quadrature degree of {estimate} for F, which is slow to compile and "
-            f"to assemble: give quadrature_degree={twice}, twice the polynomial degree, or state a "
-            "degree in the measures.",
-            u.function_space.mesh.comm,
+            f"to assemble: give quadrature_degree={degree}, twice the polynomial degree, or state "
+            "a degree in the measures.",
+            V.mesh.comm,
         )
-    return Forms(u, F_u, limited(J), fields, energy, symmetric)
 
 
 def _residuals(
@@ -137,13 +363,14 @@ def _residuals(
     """Return the residuals tested with v and, for each condensed field, with its q."""
     if not isinstance(F, ufl.Form):
         forms = list(F)
-        wanted = [u.function_space, *(p.function_space for p in condense)]
-        if not condense or len(forms) != len(wanted) or any(len(f.arguments()) != 1 for f in forms):
+        spaces = [u.function_space, *(p.function_space for p in condense)]
+        are_residuals = all(len(form.arguments()) == 1 for form in forms)
+        if not condense or len(forms) != len(spaces) or not are_residuals:
             raise ValueError(
                 f"F is a sequence of {len(forms)} forms: give a residual tested with v and one for "
                 "each condensed field, tested with its q, together with condense=p."
             )
-        if [form.arguments()[0].ufl_function_space() for form in forms] != wanted:
+        if [form.arguments()[0].ufl_function_space() for form in forms] != spaces:
             raise ValueError("F holds residuals on other spaces: test them with v in V and q in Q.")
         return forms
     rank = len(F.arguments())
@@ -159,125 +386,122 @@ def _residuals(
     return [ufl.derivative(F, f, ufl.TestFunction(f.function_space)) for f in (u, *condense)]
 
 
-def default_volume_ratio(forms: Forms) -> Expr | None:
-    """Return det(I + Grad u) of a displacement, None for another unknown."""
-    u = forms.u
-    gdim = u.function_space.mesh.geometry.dim
-    if u.ufl_shape != (gdim,):
-        return None
-    given = [form for form in (forms.F_u, forms.energy) if form is not None]
-    integrands = [integral.integrand() for form in given for integral in form.integrals()]
-    if not any(_is_kinematic(o, u) for i in integrands for o in unique_pre_traversal(i)):
-        return None
-    return ufl.det(ufl.Identity(gdim) + ufl.grad(u))
-
-
-def _is_kinematic(o: Expr, u: dolfinx.fem.Function) -> bool:
-    """Tell whether an expression is one of a displacement alone; a diffusion has none of them.
-
-    These are I + Grad u, its determinant and inverse, and Grad uᵀ Grad u, of Green's strain.
-    """
-    match o:
-        case classes.Determinant() | classes.Inverse() | classes.Cofactor():
-            kinematic = True
-        case classes.Sum():
-            kinematic = any(isinstance(term, classes.Identity) for term in _terms(o))
-        case classes.Dot() | classes.Product():
-            A, B = (
-                f.ufl_operands[0] if isinstance(f, classes.Indexed) else f for f in o.ufl_operands
-            )
-            kinematic = any(
-                isinstance(C, classes.Transposed) and C.ufl_operands[0] == D
-                for C, D in ((A, B), (B, A))
-            )
-        case _:
-            return False
-    gradients = (part for part in unique_pre_traversal(o) if isinstance(part, classes.Grad))
-    return kinematic and any(u in extract_coefficients(gradient) for gradient in gradients)
-
-
-def _terms(o: Expr) -> Iterator[Expr]:
-    """Yield the terms of a sum of sums."""
-    for term in o.ufl_operands:
-        if isinstance(term, classes.Sum):
-            yield from _terms(term)
-        else:
-            yield term
+def volume_ratio_of(forms: Forms) -> VolumeRatio | None:
+    """Return det F of the deformation gradient in the forms; None if they contain none."""
+    candidates = [form for form in (forms.F_u, forms.energy) if form is not None]
+    return find_volume_ratio(candidates, forms.u)
 
 
 def linear_forms(
-    a: ufl.Form | Sequence[Sequence[ufl.Form | None]],
+    a: ufl.Form | Blocks,
     L: ufl.Form | Sequence[ufl.Form | None],
     u: dolfinx.fem.Function | None,
     fields: Sequence[dolfinx.fem.Function],
 ) -> tuple[Forms, ufl.Form]:
-    """Return the checked forms of a :class:`LinearProblem` as residuals at zero, and that of L.
+    """Return the checked forms of a :class:`LinearProblem` as residuals at zero.
+
+    Args:
+        a: Bilinear form, or blocks in u and the fields.
+        L: Linear form, or its blocks.
+        u: The unknown; None if the caller creates it.
+        fields: Condensed fields.
+
+    Returns:
+        The forms, in which new Functions of value zero take the place of u and the fields; and the
+        linear form of u.
 
     Raises:
         ValueError: The forms do not fit each other, u, or the fields.
         TypeError: A field cannot be condensed.
     """
     if not fields:
-        require_forms(a=a, L=L)
-    rows, right = _blocks(a, L, len(fields) + 1)
-    a_uu, L_u = rows[0][0], right[0]
-    require_forms(a=a_uu, L=L_u)
-    of_arguments = (v.ufl_function_space() for form in (a_uu, L_u) for v in form.arguments())
-    V: Any = next(of_arguments, None) if u is None else u.function_space
+        require_form("a", a)
+        require_form("L", L)
+    rows, loads = _blocks(a, L, len(fields) + 1)
+    a_uu = rows[0][0]
+    L_u = loads[0]
+    require_form("a", a_uu)
+    require_form("L", L_u)
+    V = _space(a_uu, L_u) if u is None else u.function_space
     check_forms(V, a=(a_uu, 2), L=(L_u, 1))
-    checked_conditions(V, None)
+    check_meshes(V, a=a_uu, L=L_u)
+    require_torn_space(V)
     zero = dolfinx.fem.Function(V)
     check_condensed(fields, zero)
-    state = [zero, *(dolfinx.fem.Function(p.function_space) for p in fields)]
-    for i, (row, f) in enumerate(zip(rows, state, strict=True)):
-        for j, (form, g) in enumerate(zip(row, state, strict=True)):
+    zero_fields = [dolfinx.fem.Function(p.function_space) for p in fields]
+    state = [zero, *zero_fields]
+    _check_blocks(rows, state)
+    residuals = []
+    for i, (row, load) in enumerate(zip(rows, loads, strict=True)):
+        residual = ufl.Form([])
+        for j, (form, f) in enumerate(zip(row, state, strict=True)):
+            is_zero = (i, j) == (0, 0)  # A u, see the head of the file
+            if form is not None and not is_zero:
+                residual = residual + ufl.action(form, f)
+        if load is not None:
+            residual = residual - load
+        residuals.append(residual)
+    F_p, _, compression = with_compression(zero, zero_fields, residuals[0], residuals[1:], None)
+    forms = Forms(
+        u=zero,
+        F_u=residuals[0],
+        J=a_uu,
+        field_equations=tuple(map(FieldEquation, F_p, zero_fields)),
+        compression=compression,
+    )
+    return forms, L_u
+
+
+def _space(*forms: ufl.Form) -> Any:
+    """Return the space of the first argument of some forms; None if they have none."""
+    for form in forms:
+        for v in form.arguments():
+            return v.ufl_function_space()
+    return None
+
+
+def _check_blocks(
+    rows: Sequence[Sequence[ufl.Form | None]], unknowns: Sequence[dolfinx.fem.Function]
+) -> None:
+    """Check that block (i, j) is a form with arguments in the spaces of unknowns i and j.
+
+    Raises:
+        ValueError: One is not.
+        TypeError: One has other numbers than float64.
+    """
+    for i, (row, f) in enumerate(zip(rows, unknowns, strict=True)):
+        for j, (form, g) in enumerate(zip(row, unknowns, strict=True)):
             if form is None:
                 continue
-            require_forms(**{f"a[{i}][{j}]": form})
+            require_form(f"a[{i}][{j}]", form)
             spaces = [v.ufl_function_space() for v in form.arguments()]
             if spaces != [f.function_space, g.function_space]:
                 raise ValueError(
                     f"a[{i}][{j}] has test and trial functions on other spaces: test row i in the "
                     "space of unknown i, which are u and the fields of condense, in their order."
                 )
-    residuals = []
-    for i, row in enumerate(rows):
-        known = [(form, f) for form, f in zip(row, state, strict=True) if i or f is not zero]
-        r = sum((ufl.action(form, f) for form, f in known if form), ufl.Form([]))
-        residuals.append(r - right[i] if right[i] else r)
-    fields_at_zero = tuple(zip(residuals[1:], state[1:], strict=True))
-    return Forms(zero, residuals[0], rows[0][0], fields_at_zero), right[0]
 
 
 def _blocks(a: Any, L: Any, n: int) -> tuple[list[list[Any]], list[Any]]:
-    """Return the n × n blocks of a and the n of L, with arguments that know no other block."""
+    """Return the n × n blocks of a and the n of L, with arguments that have no part number.
+
+    Raises:
+        ValueError: a or L has another number of blocks, or a has none of u.
+    """
     if n == 1:
         return [[a]], [L]
-    if isinstance(a, ufl.Form):
-        a = [[_block(a, i, j) for j in range(n)] for i in range(n)]
-    if isinstance(L, ufl.Form):
-        L = [_block(L, i) for i in range(n)]
-    rows = list(a) if isinstance(a, Sequence) else []
-    fits = len(rows) == n and all(isinstance(row, Sequence) and len(row) == n for row in rows)
-    if not fits or not isinstance(L, Sequence) or len(L) != n or not rows[0][0] or not L[0]:
+    rows, loads = split_linear(a, L, n)
+    is_square = len(rows) == n and all(len(row) == n for row in rows)
+    if not is_square or len(loads) != n:
         raise ValueError(
             f"condense has {n - 1} field(s): give a as {n} × {n} blocks, such as "
             f"[[a_uu, a_up], [a_pu, a_pp]], and L as {n} blocks, or both as forms on a "
             "ufl.MixedFunctionSpace of V and the spaces of the fields."
         )
-    whole = [[form and _block(form, None, None) for form in row] for row in [*rows, L]]
-    return whole[:n], whole[n]
-
-
-def _block(form: ufl.Form, *parts: int | None) -> ufl.Form | None:
-    """Return the block of parts of the test and the trial function; None if it is zero.
-
-    Its arguments are of their own spaces; a part None is any.
-    """
-    replaced = {}
-    for v in form.arguments():
-        same = parts[v.number()] in (v.part() or 0, None)
-        V, zero = v.ufl_function_space(), classes.Zero(v.ufl_shape)
-        replaced[v] = ufl.Argument(V, v.number()) if same else zero
-    block = ufl.algorithms.expand_derivatives(ufl.replace(form, replaced))
-    return None if block.empty() else block
+    rows = [without_parts(row) for row in rows]
+    loads = without_parts(loads)
+    if rows[0][0] is None:
+        raise ValueError("a has no block of u, a[0][0]: a matrix that is zero cannot be torn.")
+    if loads[0] is None:
+        loads[0] = zero_load(rows[0][0].arguments()[0].ufl_function_space())
+    return rows, loads

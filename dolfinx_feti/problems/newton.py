@@ -3,316 +3,499 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Newton's method as a PETSc SNES, every step solved by FETI (docs/theory.md).
 
-.. math:: (K'(U^k) + σ \operatorname{diag}|k|)\, ΔU = \mathcal F - K(U^k), \qquad
+.. math:: (K'(U^k) + σ \operatorname{diag}|k|)\, ΔU = -r(U^k), \qquad
           U^{k+1} = U^k + α\, ΔU
 
-(eq. 22, Augustin_eq:NewtonRecursion, and eq. 23, Augustin_eq:NewtonRecursion_h), with α of
-``line_search``, until ‖r‖ of the free dofs is small beside
-:math:`\max(\min(‖r^0‖, \text{reference}), ‖R‖/10)` with the reactions R, or is rounding. With a
-potential the shift σ grows until no negative eigenvalue can be proved and ΔU leads downhill,
-ΔU·r < 0. A singular tangent counts as indefinite.
+(eq. 22, and eq. 23 for the discretised body, with the residual r, internal minus external forces).
+Each of its parts has a file in ``iteration``: ``shifts`` chooses σ and ``line_search`` α; a solve
+ends by ``convergence``, ``state_error``, ``rounding`` or ``early_end``; ``tangent_reuse`` saves
+tangents, and ``tangent_check`` finds mistakes in them.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
+from dataclasses import replace
 
 from petsc4py import PETSc
 
 import numpy as np
 
-from dolfinx_feti.diagnosis.advice import Advice
-from dolfinx_feti.feti.solver import DOUBTFUL, FETI
-from dolfinx_feti.problems.derivative import difference_from_derivative
-from dolfinx_feti.problems.history import CLOSER, FAILURES, NewtonStep, Stop, proved_negative
-from dolfinx_feti.problems.line_search import line_search
-from dolfinx_feti.problems.solvers import RTOL, no_closer_than
-from dolfinx_feti.problems.system import Residual, System, Tangent
+from dolfinx_feti.feti.converged_reason import MAX_ROUNDING_SHARE
+from dolfinx_feti.problems.equations.system import System
+from dolfinx_feti.problems.history import NewtonStep
+from dolfinx_feti.problems.hooks import Hooks
+from dolfinx_feti.problems.iteration.convergence import ConvergenceTest, Verdict
+from dolfinx_feti.problems.iteration.early_end import EarlyEnd
+from dolfinx_feti.problems.iteration.failures import (
+    INVERTED_START,
+    NOT_A_NUMBER,
+    TEST_FAILED,
+    TOO_MANY_STEPS,
+    UNSUPPORTED,
+    NewtonFailure,
+    Outcome,
+)
+from dolfinx_feti.problems.iteration.iterate import Direction, Iterate, Start, evaluate
+from dolfinx_feti.problems.iteration.line import Line, Trial
+from dolfinx_feti.problems.iteration.line_search import find_step_length
+from dolfinx_feti.problems.iteration.overshoots import Overshoots
+from dolfinx_feti.problems.iteration.rounding import diagonal_rounding, residual_rounding
+from dolfinx_feti.problems.iteration.shifts import ShiftedDirections
+from dolfinx_feti.problems.iteration.state_error import StateError
+from dolfinx_feti.problems.iteration.step_test import StepTest
+from dolfinx_feti.problems.iteration.support import KnownSupport
+from dolfinx_feti.problems.iteration.tangent_check import Finding, TangentCheck
+from dolfinx_feti.problems.iteration.tangent_reuse import leads_to_end
+from dolfinx_feti.problems.solvers import max_steps, newton_tolerances
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.runtime.events import event
-from dolfinx_feti.runtime.petsc_errors import python_errors
+from dolfinx_feti.runtime.norms import norm
+from dolfinx_feti.runtime.petsc_errors import garbage_collection_resumed, python_errors
 
-Reason, Linear = PETSc.SNES.ConvergedReason, PETSc.KSP.ConvergedReason
+Reason = PETSc.SNES.ConvergedReason
 
-#: Share of the residual that Newton's method aims at which a linear solve may leave.
-LEFT = 0.1
+#: Share of the ‖r‖ that Newton's method aims at which a linear solve may leave: a tenth of it
+#: disappears in that of Newton's method. It is a choice, not measured.
+RESIDUAL_SHARE = 0.1
 
-#: Share of the reactions that counts as the load of a solve at least.
-LEAST_REACTION = 0.1
-
-#: Over so many states the highest potential has to fall.
-MEMORY = 8
-
-#: What of its first residual a rough solve leaves.
-ROUGH = 0.1
-
-#: So many plain steps with an indefinite tangent may follow those that have moved the boundary.
-PATIENCE = 3
-
-#: Share of the residual down to which a linear solve that stagnates there leads on.
-CLOSE = 1e-3
-
-#: The shifts: none, others that grow, and the least of these that is tried without one before it.
-SHIFTS, LEAST = (0.0, *(1e-4 * 4.0**k for k in range(-1, 8))), 2
-
-#: So many steps, each of which leaves more than this share of the residual, are slow.
-SLOW_STEPS, SLOW = 3, 0.03
-
-#: So many steps, each shorter than this, crawl.
-CRAWLING_STEPS, CRAWLING = 2, 0.1
-
-#: How a solve ends that does not get closer, perhaps for a tangent that is not the derivative.
-NOT_CLOSER = (Reason.DIVERGED_MAX_IT, Reason.DIVERGED_LINE_SEARCH)
-
-NO_DERIVATIVE = "J is not the derivative of F along the last step"
-
-_DOUBTFUL = (
-    "Newton's method ends where all of the residual is rounding, with {0:.0e} of a load of "
-    "{1:.0e}: if the load has changed, the equilibrium is doubtful. Load in larger steps, or "
-    "lower a penalty such as κ and let an augmented Lagrangian make up for it."
+_ROUNDING_WARNING = (
+    "Newton's method ends where all of the residual is rounding: the free dofs are out of balance "
+    "by {0:.0e}, under a load of {1:.0e}. If the load has changed, the equilibrium is doubtful. "
+    "Load in larger steps, or lower a penalty such as κ and correct its effect by "
+    "volume_tolerance=."
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
-    """What Newton's method begins with, beside the state itself."""
-
-    reference: float = np.inf  # most that the first residual counts in the relative tolerance
-    tangent: Tangent | None = None  # of the first step, which the matrix holds; that of the start
-    rough: bool = False  # end at a tenth of the first residual; linear solves aim at the end still
-    early: bool = False  # give up early: the caller has another start, or a shorter way
-
-
-@dataclass(frozen=True, slots=True)
-class Direction:
-    """Where a Newton step leads, and what that has cost (:class:`NewtonStep`)."""
-
-    du: Array  # ΔU, (owned,)
-    shift: float
-    iterations: list[int]  # of each linear solve
-    indefinite: int | None
-    plain: bool  # may it lead anywhere, and not only down the potential?
-
-
 class Newton:
-    """Context of a SNES that drives a ``System``, whose state is the user's, with a FETI KSP.
+    """Context of a SNES whose iterates are states of a ``System``, with a FETI KSP.
+
+    PETSc calls ``solve`` with vectors alone. What else a solve needs is set by :meth:`prepare`
+    before it, for that solve; what else it returns is an attribute.
 
     Attributes:
-        start: What the next solve begins with: PETSc hands nothing on.
+        hooks: Functions that a script has set on the SNES.
         history: A record for each step of the last solve.
-        message: What went wrong in it and what helps, or an empty string.
-        residual: ``Residual.equations`` of its last iterate, (owned,).
-        at_end: Whether that is within the SNES's own tolerances, also after a rough solve.
-        mismatch: How the tangent is not the derivative, once a solve has found that.
+        outcome: How the last solve has ended.
+        last_residual: ``Residual.of_u`` of its last iterate, (owned,).
     """
 
-    def __init__(self, system: System, mismatch: list[Advice]) -> None:
-        self._system, self.start, self.mismatch = system, Start(), mismatch
+    def __init__(self, system: System) -> None:
+        """Create a context for all solves of a system."""
+        self.hooks = Hooks(system)
         self.history: list[NewtonStep] = []
-        self.message, self.at_end = "", False
-        self.residual = self._du = np.zeros(system.owned)
+        self.outcome = Outcome(Reason.ITERATING)
+        self.last_residual: Array = np.zeros(system.owned)
+        self._system = system
+        self._tangent_check = TangentCheck(system)
+        self._support = KnownSupport()
+        self._next_start = Start()
+
+    @property
+    def findings(self) -> list[Finding]:
+        """How the tangent differs from the derivative, as found in all solves."""
+        return self._tangent_check.findings
+
+    def prepare(self, start: Start) -> None:
+        """Set how the next solve begins; those after it begin with the defaults of ``Start``."""
+        self._next_start = start
 
     def solve(self, snes: PETSc.SNES, b: PETSc.Vec | None, x: PETSc.Vec) -> None:
-        """Iterate from the state of the user's functions until the residual is small."""
-        system, self._start, self.start = self._system, self.start, Start()
-        self.history, self.message = [], ""
-        self._compared = bool(self.mismatch)
+        """Iterate from the state of the user's Functions until the residual is small.
+
+        Args:
+            snes: The SNES, whose converged reason is set.
+            b: None; PETSc's interface has it.
+            x: Receives u, (owned,).
+        """
+        self.hooks.check(snes)
+        start = self._next_start
+        self._next_start = Start()
+        self._tangent_check.begin()
+        self.history = []
+        self.outcome = Outcome(Reason.ITERATING)
+        # The user's functions are called in both contexts. The history is set between them, so that
+        # it has all steps if the solve raises.
+        with garbage_collection_resumed(snes):
+            solve = NewtonSolve(
+                self._system,
+                snes,
+                start,
+                hooks=self.hooks,
+                tangent_check=self._tangent_check,
+                support=self._support,
+            )
+        self.history = solve.history
         try:
-            reason = self._iterate(snes, self._start)
-        except Stop as stop:
-            failure, *detail = stop.args
-            reason, text = FAILURES[failure]
-            self.message = text.format(CLOSER[system.is_displacement], *detail)
-            if reason in NOT_CLOSER and self.history and not self._compared:
-                system.linearise()
-                self._compare(system.residual())
-            if reason in NOT_CLOSER and self.mismatch:
-                said = self.message.partition(":")[0]
-                self.message = f"{said}: {NO_DERIVATIVE}: {self.mismatch[0]}"
-        snes.setConvergedReason(reason)
-        x.array[:] = system.state()[0]
+            with garbage_collection_resumed(snes):
+                self.outcome = solve.run()
+        finally:
+            self.last_residual = solve.last_residual
+        snes.setConvergedReason(self.outcome.reason)
+        x.array[:] = self._system.state.values().u
 
-    def _iterate(self, snes: PETSc.SNES, start: Start) -> int:
-        """Take steps until the residual is small; return PETSc's reason for that."""
-        system, self._started = self._system, time.perf_counter()
-        rtol, atol, *_ = snes.getTolerances()
-        here = system.residual()
-        self.residual = here.equations
-        first = norm = system.norm(here.condensed)
-        if system.least_volume_ratio() <= 0.0:
-            raise Stop("inverted")
-        load, moved = float(np.fmin(first, start.reference)), system.boundary_moves(here)
-        self._heights, self._level = [np.nan], 0  # Π of the last states if known, and of SHIFTS
-        self._patience = PATIENCE if moved else 0
-        self._refuse = start.early and start.tangent is None and first > start.reference
-        at_most = LEAST_REACTION * (1.0 if moved or rtol <= RTOL else RTOL / rtol)
+
+class NewtonSolve:
+    """One solve.
+
+    Attributes:
+        history: A record for each step, and for each attempt of a step that found no step length.
+        last_residual: ``Residual.of_u`` of the last iterate, (owned,).
+    """
+
+    def __init__(
+        self,
+        system: System,
+        snes: PETSc.SNES,
+        start: Start,
+        *,
+        hooks: Hooks,
+        tangent_check: TangentCheck,
+        support: KnownSupport,
+    ) -> None:
+        """Assemble the residual at the start, and create the parts of the method. Collective.
+
+        Args:
+            system: The equations.
+            snes: The SNES, with tolerances and a FETI KSP.
+            start: How the solve begins.
+            hooks: Functions that a script has set on the SNES.
+            tangent_check: Comparison of J with the derivative.
+            support: The conditions that are known to support the body.
+        """
+        self.history: list[NewtonStep] = []
+        self._stopwatch = Stopwatch()
+        first = evaluate(system, system.residual())
+        self.last_residual: Array = first.residual.of_u
+        self._system = system
+        self._snes = snes
+        self._ksp: PETSc.KSP = snes.getKSP()
+        self._start = start
+        self._first = first
+        self._hooks = hooks
+        self._tangent_check = tangent_check
+        self._last_change: Array | None = None  # of u, (owned,)
+        self._convergence = ConvergenceTest(snes, start, first)
+        self._state_error = StateError(system, snes, start)
+        self._early_end = EarlyEnd.of(start, first)
+        self._shifts = ShiftedDirections(
+            system, self._ksp, start, first, early_end=self._early_end, support=support
+        )
+        self._potential = np.nan  # Π of the present iterate, if it was evaluated
+        self._overshoots = Overshoots(first.norm)
+
+    def run(self) -> Outcome:
+        """Iterate until the residual and the estimated error are small. Collective.
+
+        Returns:
+            How the solve has ended; the state is the last iterate.
+        """
+        try:
+            return self._iterate()
+        except NewtonFailure as failure:
+            return self._explain(failure)
+
+    def _iterate(self) -> Outcome:
+        """Iterate; the loop of docs/theory.md.
+
+        Raises:
+            NewtonFailure: There is no direction, no step length, or no convergence.
+        """
+        iterate = self._first
+        self._require_admissible_start()
         while True:
-            moves = system.boundary_moves(here)
-            scale = max(load, at_most * system.reaction(here))
-            rough = ROUGH * (scale if moved else first) if start.rough else 0.0
-            reason = self._judge(snes, norm, scale, rough, moves=moves)
-            if reason != Reason.ITERATING:
-                return reason
-            aim = max(rtol * scale, atol)
-            next_norm = norm * self._share_left(norm)  # if the last tangent is as good again
-            kept = not moves and next_norm <= aim
-            if not kept and (self.history or start.tangent is None):
-                with event("FETITangent"):
-                    system.linearise(here)
-            floor = system.rounding()
-            if not moves and norm <= (floor if self.history else system.least_rounding()):
-                self.at_end = True
-                force, known = system.norm(system.free(here.force)), scale if moved else load
-                if self.history and force > DOUBTFUL * known:
-                    warn(_DOUBTFUL.format(force, known), system.comm)
-                return Reason.CONVERGED_FNORM_ABS
-            if not kept and not self._compared and self._is_slow(norm):
-                self._compare(here)
-            with no_closer_than(LEFT * aim, snes.getKSP()):
-                here = self._step(snes.getKSP(), here, norm, floor, kept=kept, moves=moves)
-            self.residual = here.equations
-            norm = system.norm(here.condensed)
-            lengths = [step.step_length for step in self.history[-CRAWLING_STEPS:]]
-            if start.early and len(lengths) == CRAWLING_STEPS and max(lengths) < CRAWLING:
-                raise Stop("crawls", CRAWLING)
+            verdict = self._judge(iterate)
+            needs_step = self._needs_step(iterate, verdict)
+            if verdict.reason != Reason.ITERATING and not needs_step:
+                return self._end(verdict)
+            updated = self._call_update(iterate)
+            if updated is not None:
+                iterate = updated
+                needs_step = False  # the estimated error was that of the equations before
+            target = self._target(iterate, needs_step=needs_step)
+            reuses_tangent = leads_to_end(iterate, self.history, target)
+            if not reuses_tangent:
+                self._linearise(iterate)  # K'(U^k)
+            floor = residual_rounding(self._system)
+            if self._is_rounding(iterate, floor, needs_step=needs_step):
+                return self._end_at_rounding(iterate)
+            if not reuses_tangent:
+                self._tangent_check.compare_if_needed(iterate, self.history)
+            self._tangent_check.require_right_sign(self.history)
+            try:
+                with self._linear_tolerances(target, floor):
+                    iterate = self._step(iterate, floor, reuses_tangent=reuses_tangent)
+            except NewtonFailure:
+                if not (needs_step and self._state_error.is_acceptable_as_rounding):
+                    raise
+                return self._end_with_error()
+            self._early_end.check(self.history)
 
-    def _share_left(self, norm: float) -> float:
-        """Return the share of ‖r‖ that a whole step with a tangent of its own left; or infinity."""
-        last = self.history[-1] if self.history else None
-        if last is None or last.step_length != 1.0 or last.shift or last.tangent_lag:
-            return np.inf
-        return norm / last.residual if last.residual > 0.0 else np.inf
+    # -- the parts of an iteration; all collective -------------------------------------------------
 
-    def _is_slow(self, norm: float) -> bool:
-        """Tell whether each of the last steps has left much of the residual, now ‖r‖."""
-        norms = np.array([*(step.residual for step in self.history[-SLOW_STEPS:]), norm])
-        before, after = norms[:-1], norms[1:]
-        return len(after) == SLOW_STEPS and bool(np.all((SLOW * before < after) & (after < before)))
+    def _require_admissible_start(self) -> None:
+        """Raise an error if a cell is inside out.
 
-    def _judge(
-        self, snes: PETSc.SNES, norm: float, scale: float, rough: float, *, moves: bool
-    ) -> int:
-        """Monitor ‖r‖, relative to a force ``scale``; return whether to go on, or why to end."""
-        rtol, atol, _, max_it = snes.getTolerances()
+        Raises:
+            NewtonFailure: det F ≤ 0 at a quadrature point.
+        """
+        if self._system.smallest_volume_ratio() <= 0.0:
+            raise NewtonFailure(INVERTED_START)
+
+    def _judge(self, iterate: Iterate) -> Verdict:
+        """Show ‖r‖ to SNES, and test it by the script's own convergence test or the package's.
+
+        Raises:
+            NewtonFailure: ‖r‖ is NaN or infinite, or there were too many steps.
+        """
+        snes = self._snes
         its = len(self.history)
         snes.setIterationNumber(its)
-        snes.setFunctionNorm(norm)
-        snes.logConvergenceHistory(norm, snes.getKSP().getIterationNumber())
+        snes.setFunctionNorm(iterate.norm)
+        snes.logConvergenceHistory(iterate.norm, self._ksp.getIterationNumber())
+        self._hooks.publish(snes, iterate.residual)
+        if self._hooks.has_test(snes):
+            reason = self._hooks.call_test(snes, iterate.residual, self._last_change)
+            verdict = Verdict(reason, is_within_tolerances=reason > 0)
+        else:
+            verdict = self._convergence.judge(iterate)
 
         def monitor() -> None:
-            with python_errors():  # it may be the user's own
-                snes.monitor(its, norm)
+            with python_errors():  # the monitor may be the user's own
+                snes.monitor(its, iterate.norm)
 
         on_all(monitor, self._system.comm)
-        if not np.isfinite(norm):
-            raise Stop("not a number")
-        self.at_end = not moves and norm <= max(atol, rtol * scale)
-        if self.at_end and norm <= atol:
-            return Reason.CONVERGED_FNORM_ABS
-        if self.at_end or (not moves and norm <= rough):
-            return Reason.CONVERGED_FNORM_RELATIVE
-        if its >= max_it:
-            raise Stop("too many", max_it)
-        return Reason.ITERATING
+        if not np.isfinite(iterate.norm):
+            raise NewtonFailure(NOT_A_NUMBER)
+        if verdict.reason == Reason.ITERATING:
+            self._require_steps_left()
+        return verdict
 
-    def _step(
-        self, ksp: PETSc.KSP, here: Residual, norm: float, floor: float, *, kept: bool, moves: bool
-    ) -> Residual:
-        """Take a step, with a larger shift where no step length is admissible, and record it.
+    def _needs_step(self, iterate: Iterate, verdict: Verdict) -> bool:
+        """Return True if the estimated error requires a step although ‖r‖ is small.
 
-        The matrix holds its tangent, perhaps kept from the step before. Below the floor of rounding
-        no step length has to be admissible. It returns the residual where the step ends.
+        The error is that of the state after the last step, whose record is completed.
+
+        Raises:
+            NewtonFailure: A step is required, and there were too many.
         """
-        system = self._system
-        seen = system.seen_by_tangent(here) if kept else here
-        directions = self._directions(ksp, seen, moves=moves)
+        if self._hooks.has_test(self._snes):
+            return False
+        error = self._state_error
+        error.measure(iterate, verdict, self.history)
+        if self.history:
+            self.history[-1] = replace(self.history[-1], error=error.estimate)
+        if error.needs_step:
+            self._require_steps_left()
+            return True
+        if error.is_too_large:
+            error.log()
+        return False
+
+    def _require_steps_left(self) -> None:
+        """Raise an error if the SNES allows no further step.
+
+        Raises:
+            NewtonFailure: There were too many.
+        """
+        max_it = max_steps(self._snes)
+        if len(self.history) >= max_it:
+            raise NewtonFailure(TOO_MANY_STEPS, max_it)
+
+    def _call_update(self, iterate: Iterate) -> Iterate | None:
+        """Call a script's update; return the iterate after it, None if there is no update."""
+        if not self._hooks.has_update(self._snes):
+            return None
+        self._hooks.call_update(self._snes)
+        self._potential = np.nan  # the update may have changed u or a coefficient
+        return self._evaluate_present()
+
+    def _target(self, iterate: Iterate, *, needs_step: bool) -> float:
+        """Return the ‖r‖ that the next steps aim at."""
+        target = self._convergence.target(iterate)
+        if needs_step:
+            # NaN if the error is not known
+            target = float(np.fmin(target, self._state_error.target(iterate)))
+        return target
+
+    def _linearise(self, iterate: Iterate) -> None:
+        """Assemble the tangent, unless that of the first step is in the matrix already."""
+        if self.history or self._start.tangent is None:
+            with event("FETITangent"):
+                self._system.linearise(iterate.residual)
+
+    def _is_rounding(self, iterate: Iterate, floor: float, *, needs_step: bool) -> bool:
+        """Return True if r is rounding alone, so that the solve ends.
+
+        A script's own test, a violated constraint, or an error that a step may lower prevents it.
+        At the start only the lower bound of the rounding errors counts: a small load is a load.
+        """
+        if iterate.violates_constraints or self._hooks.has_test(self._snes):
+            return False
+        if needs_step and self._state_error.is_too_large:
+            return False
+        return iterate.norm <= (floor if self.history else diagonal_rounding(self._system))
+
+    def _linear_tolerances(self, target: float, floor: float) -> AbstractContextManager[None]:
+        """Return a context in which linear solves are as accurate as the step needs."""
+        return newton_tolerances(
+            self._ksp,
+            norm=RESIDUAL_SHARE * target,
+            error=self._state_error.of_linear_solve(),
+            load_rounding=floor,
+        )
+
+    def _step(self, iterate: Iterate, floor: float, *, reuses_tangent: bool) -> Iterate:
+        """Compute the next iterate, with a larger shift if no step length is admissible.
+
+        If there is no step length although r is rounding, or with a reused tangent, the same
+        iterate is returned. The next iteration then ends at rounding, or assembles a tangent: the
+        recorded step has no length, which ``tangent_reuse`` does not accept for another reuse.
+
+        Args:
+            iterate: Where the step begins.
+            floor: ‖r‖ that is rounding.
+            reuses_tangent: Whether the matrix holds the tangent of the step before.
+
+        Raises:
+            NewtonFailure: No direction has a step length.
+        """
+        origin = iterate
+        if reuses_tangent:
+            residual = self._system.residual_of_last_tangent(iterate.residual)
+            origin = replace(iterate, residual=residual)
+        directions = self._shifts.directions(origin, is_first=not self.history)
         while True:
-            assembled = time.perf_counter()
-            found = next(directions)
-            solved = time.perf_counter()
-            heights, height = self._heights, np.nan
-            if system.has_potential and not found.plain:
-                height = system.potential() if np.isnan(heights[-1]) else heights[-1]
-            bounds = {"height": height, "highest": float(np.fmax.reduce(heights))}
-            shifted, early = found.shift > 0.0, self._start.early
-            end = line_search(system, seen, found.du, **bounds, shifted=shifted, early=early)
-            self._heights = [*heights[1 - MEMORY :], end.potential]
-            step = NewtonStep.after(
-                ksp.getPythonContext(),
-                found.iterations,
-                residual=norm,
-                step_length=end.alpha,
-                indefinite=found.indefinite,
-                shift=found.shift,
-                seconds_assembly=assembled - self._started,
-                seconds_linear=solved - assembled,
+            seconds_assembly = self._stopwatch.lap()  # since the last linear solve
+            direction = next(directions)
+            seconds_linear = self._stopwatch.lap()
+            trial = self._search(origin, direction)
+            self._record(
+                direction,
+                trial,
+                residual=iterate.norm,
                 floor=floor,
-                tangent_lag=self.history[-1].tangent_lag + 1 if kept else 0,
+                seconds_assembly=seconds_assembly,
+                seconds_linear=seconds_linear,
+                tangent_lag=self.history[-1].tangent_lag + 1 if reuses_tangent else 0,
             )
-            self.history.append(step)
-            self._du, self._started = found.du, solved
-            if end.alpha > 0.0 or norm <= floor or kept:
-                return end.residual if end.alpha > 0.0 else here
+            if trial.alpha > 0.0:
+                return self._accept(trial)
+            if iterate.norm <= floor or reuses_tangent:
+                return iterate
 
-    def _directions(self, ksp: PETSc.KSP, here: Residual, *, moves: bool) -> Iterator[Direction]:
-        """Yield one direction after the other, until one of them leads on.
+    def _search(self, origin: Iterate, direction: Direction) -> Trial:
+        """Move the state along a direction; α = 0 if no step length is admissible."""
+        allows_overshoot = self._overshoots.are_allowed(self._system, direction)
+        line = Line(self._system, origin, direction, allows_overshoot=allows_overshoot)
+        test = StepTest(self._system, line, self._potential)
+        trial = find_step_length(line, test)
+        self._overshoots.count(trial)
+        self._potential = trial.potential if trial.alpha > 0.0 else test.potential
+        return trial
 
-        With a potential the plain one comes last, but while prescribed displacements move and for a
-        few steps after that. Without one a shift is what is left where the plain solve fails, or
-        Stop is raised. With scalars no tangent is refused: they lead on where K does not.
+    def _accept(self, trial: Trial) -> Iterate:
+        """Return the iterate at a trial, where the state is."""
+        self.last_residual = trial.residual.of_u
+        reached = evaluate(self._system, trial.residual)
+        self._overshoots.update(reached.norm)
+        return reached
+
+    def _evaluate_present(self) -> Iterate:
+        """Assemble the residual at the present state, and return the iterate there."""
+        residual = self._system.residual()
+        self.last_residual = residual.of_u
+        return evaluate(self._system, residual)
+
+    def _record(
+        self,
+        direction: Direction,
+        trial: Trial,
+        *,
+        residual: float,
+        floor: float,
+        seconds_assembly: float,
+        seconds_linear: float,
+        tangent_lag: int,
+    ) -> None:
+        """Append the record of a step, or of an attempt without a step length (α = 0).
+
+        Args:
+            direction: Its direction.
+            trial: Its last trial.
+            residual: ‖r‖ before it.
+            floor: ‖r‖ that is rounding.
+            seconds_assembly: Time since the last linear solve: assembly and line search.
+            seconds_linear: Time for the linear solves.
+            tangent_lag: Number of steps that the tangent had served before.
         """
-        system, feti, first = self._system, ksp.getPythonContext(), not self.history
-        refuse = self._refuse and first and not system.scalars.size
-        down, indefinite, iterations, leads = system.has_potential, None, [], False
-        least = self._level if down else LEAST
-        levels = [least, *range(max(LEAST, least + 1), len(SHIFTS))]
-        may_shift = not moves and (down or not self._start.early)
-        tries = [(level, False) for level in levels if may_shift]
-        plain_first = not down or moves or self._patience > 0
-        tries.insert(0 if plain_first else len(tries), (0, True))
-        for level, plain in tries:
-            system.shift(SHIFTS[level])
-            feti.refuse_indefinite = not plain or refuse
-            du = system.scalars.solve(ksp, system.A, here.equations, here.scalar)
-            reason = ksp.getConvergedReason()
-            failed = reason == Linear.DIVERGED_PCSETUP_FAILED
-            if level == 0:
-                indefinite = proved_negative(feti)
-                system.is_held |= not failed
-            if reason != Linear.DIVERGED_INDEFINITE_MAT:
-                iterations.append(feti.iterations)
-            elif refuse:
-                raise Stop("poor guess")
-            close = reason == Linear.DIVERGED_BREAKDOWN and feti.residual <= CLOSE
-            leads = (reason > 0 or close) and (plain or system.dot(du, here.condensed) < 0.0)
-            if leads:
-                self._level = max(0, level - (1 if level > self._level else 2))
-                self._patience -= plain and not moves and indefinite != 0
-                yield Direction(du, SHIFTS[level], iterations, indefinite, plain)
-                iterations = []
-            elif failed and (first or not feti.singular):
-                break
-        self._level = 0
-        raise Stop("no step") if leads else self._linear_failure(feti)
+        step = NewtonStep.after(
+            self._ksp.getPythonContext(),
+            direction.iterations,
+            residual=residual,
+            step_length=trial.alpha,
+            indefinite=direction.indefinite,
+            shift=direction.shift,
+            seconds_assembly=seconds_assembly,
+            seconds_linear=seconds_linear,
+            floor=floor,
+            tangent_lag=tangent_lag,
+        )
+        self.history.append(step)
+        self._last_change = trial.alpha * direction.du
+        self._tangent_check.add_step(direction, trial)
 
-    def _linear_failure(self, feti: FETI) -> Stop:
-        """Say why there is no direction: on the way a singular tangent lacks no support."""
-        on_the_way = self._system.is_held or np.isfinite(self._start.reference)
-        if not feti.message:
-            return Stop("indefinite")
-        if feti.singular and on_the_way:
-            return Stop("singular")
-        if on_the_way and (proved_negative(feti) or 0) > 0:
-            return Stop("trial", feti.message.rstrip("."))
-        return Stop("linear", feti.message)
+    # -- how a solve ends --------------------------------------------------------------------------
 
-    def _compare(self, here: Residual) -> None:
-        """Compare the tangent with the derivative along the last ΔU, once in a solve, and tell."""
-        self._compared = True
-        found = difference_from_derivative(self._system, here, self._du)
-        if found is not None:
-            self.mismatch.append(found)
-            warn(f"{NO_DERIVATIVE}: {found}", self._system.comm)
+    def _end(self, verdict: Verdict) -> Outcome:
+        """Return the outcome of a verdict that ends the solve.
+
+        ‖r‖ is small. If the error is too large, rounding leaves it, and the relative tolerance is
+        not said to be met: the reason is the absolute one.
+        """
+        reason = verdict.reason
+        if reason < 0:
+            return Outcome(reason, TEST_FAILED.format(reason))
+        if self._state_error.is_too_large:
+            reason = Reason.CONVERGED_FNORM_ABS
+        return Outcome(reason, is_within_tolerances=verdict.is_within_tolerances)
+
+    def _end_at_rounding(self, iterate: Iterate) -> Outcome:
+        """Converge, and log if rounding leaves the free dofs visibly out of balance."""
+        system = self._system
+        force = norm(system.comm, system.conditions.free(iterate.residual.force))
+        load = self._convergence.applied_load(iterate)
+        if self.history and force > MAX_ROUNDING_SHARE * load:
+            warn(_ROUNDING_WARNING.format(force, load), system.comm)
+        return Outcome(Reason.CONVERGED_FNORM_ABS, is_within_tolerances=True)
+
+    def _end_with_error(self) -> Outcome:
+        """Converge: ‖r‖ is small, and no step lowers the estimated error."""
+        self._state_error.log()
+        return Outcome(Reason.CONVERGED_FNORM_ABS, is_within_tolerances=True)
+
+    def _explain(self, failure: NewtonFailure) -> Outcome:
+        """Return the outcome of a failure, with its cause if that is J, F, or a contact."""
+        is_displacement = self._system.deformation is not None
+        outcome = self._tangent_check.explain(
+            failure, self.history, is_displacement=is_displacement
+        )
+        if self._shifts.lacks_support:
+            return replace(outcome, message=f"{outcome.message}. {UNSUPPORTED}")
+        return outcome
+
+
+class Stopwatch:
+    """Measures the time between laps."""
+
+    def __init__(self) -> None:
+        self._last = time.perf_counter()
+
+    def lap(self) -> float:
+        """Return the seconds since the last lap."""
+        now = time.perf_counter()
+        seconds = now - self._last
+        self._last = now
+        return seconds

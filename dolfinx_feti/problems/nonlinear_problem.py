@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
-from typing import Unpack
+from functools import cached_property, partial
+from typing import Any
 
 from mpi4py import MPI
+from petsc4py import PETSc
 
 import numpy as np
 
@@ -18,30 +19,63 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.errors import ConvergenceError
+from dolfinx_feti.contact.contact import Contact
+from dolfinx_feti.diagnosis.advice import Advice
+from dolfinx_feti.diagnosis.cell_check import CellCheck
+from dolfinx_feti.diagnosis.cell_volumes import CellVolumes
 from dolfinx_feti.fem.checks import check_scalar_type
+from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.content import content_of
 from dolfinx_feti.fem.internal_variables import create_internal_variables
-from dolfinx_feti.problems.arguments import checked_conditions, require_function
-from dolfinx_feti.problems.forms import condensed_fields, default_volume_ratio, derive
+from dolfinx_feti.fem.pressures import check_pressures
+from dolfinx_feti.mechanics.deformation import volume_ratio_of_expression
+from dolfinx_feti.problems.arguments import (
+    checked_conditions,
+    require_callable,
+    require_function,
+    require_torn_space,
+)
+from dolfinx_feti.problems.boundary import add_boundary
+from dolfinx_feti.problems.contacts import Contacts, ContactUpdates, checked_contacts
+from dolfinx_feti.problems.equations.system import Residual
+from dolfinx_feti.problems.equations.tangent import TangentId
+from dolfinx_feti.problems.forms import Forms, as_tuple, derive, volume_ratio_of
 from dolfinx_feti.problems.history import NewtonStep
-from dolfinx_feti.problems.multipliers import hold, prepare, updated
-from dolfinx_feti.problems.newton import Newton, Start
-from dolfinx_feti.problems.solvers import create_newton_solver
-from dolfinx_feti.problems.system import Residual, Tangent
-from dolfinx_feti.problems.torn_problem import Common, TornProblem
+from dolfinx_feti.problems.incompressible import check_kappa
+from dolfinx_feti.problems.iteration.iterate import Start
+from dolfinx_feti.problems.multipliers import MultiplierUpdates, update_until_met
+from dolfinx_feti.problems.newton import Newton
+from dolfinx_feti.problems.solvers import (
+    check_newton_solver,
+    create_newton_solver,
+    failures_as_reasons,
+    relative_tolerance,
+    warn_of_unread_options,
+)
+from dolfinx_feti.problems.torn_problem import Balance, ProblemOptions, TornProblem
+from dolfinx_feti.problems.unknowns.mixed_of_one import MixedOfOne, is_mixed_of_one
+from dolfinx_feti.problems.unknowns.nonlinear_blocks import NonlinearBlocks, arrange_nonlinear
+from dolfinx_feti.problems.volume_multipliers import (
+    VOLUME_TOLERANCE,
+    VolumeMultipliers,
+    create_volume_multipliers,
+    set_multipliers_to_pressure,
+)
+from dolfinx_feti.runtime.arrays import Integers
 from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.norms import norm
 from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.scalars import couplings as coupled
-from dolfinx_feti.scalars.equations import Coupling, separated
+from dolfinx_feti.scalars.equations import Coupling
+from dolfinx_feti.wall.conditions.boundary import Boundary
 
 
 class NonlinearProblem(TornProblem):
     """Solve F(u; v) = 0 for all v by Newton's method, every step with a FETI method.
 
-    It takes the arguments of dolfinx's class of this name, from 0.9 to 0.11, and the subdomains; it
-    drives a SNES of its own in every version.
+    It takes the arguments of dolfinx's class of this name, from 0.9 to 0.11, and those of FETI. It
+    drives its own SNES with every version.
 
     Example::
 
@@ -52,11 +86,15 @@ class NonlinearProblem(TornProblem):
         problem.solve()
 
     Attributes:
-        u: The unknown.
+        u: The unknown, or the list of unknowns of a problem in blocks.
         solver: The SNES.
-        content: Unknowns, and the Functions and Constants in the forms.
-        volume_changes: The greatest abs(mean J − 1) of a cell after each Newton solve of the last
-            :meth:`solve` with a ``volume_tolerance``. Further ones: :class:`TornProblem`.
+        content: Unknowns, and the Functions and Constants in the forms, which paths store.
+        volume_changes: The largest abs(mean J − 1) of a cell after each Newton solve of the last
+            :meth:`solve` with a ``volume_tolerance``.
+        contact_violations: The largest penetration, or distance at which a multiplier still pushes,
+            over the size of a cell, after each Newton solve of the last :meth:`solve` with contact.
+
+    Further attributes: :class:`TornProblem`.
     """
 
     def __init__(
@@ -64,7 +102,7 @@ class NonlinearProblem(TornProblem):
         F: ufl.Form | Sequence[ufl.Form],
         u: dolfinx.fem.Function | Sequence[dolfinx.fem.Function],
         bcs: Sequence[dolfinx.fem.DirichletBC] | None = None,
-        J: ufl.Form | None = None,
+        J: ufl.Form | Sequence[Sequence[ufl.Form | None]] | None = None,
         form_compiler_options: Mapping[str, object] | None = None,
         jit_options: Mapping[str, object] | None = None,
         *,
@@ -76,226 +114,538 @@ class NonlinearProblem(TornProblem):
         quadrature_degree: int | None = None,
         volume_ratio: Expr | None = None,
         scalars: Sequence[Coupling] = (),
-        **common: Unpack[Common],
+        kappa: float | None = None,
+        before_assembly: Callable[[Any], object] | None = None,
+        contacts: Sequence[Contact] = (),
+        contact_tolerance: float = 1e-3,
+        boundary: Boundary | None = None,
+        subdomains: int | Integers | None = None,
+        seed: int = 0,
+        petsc_options_prefix: str | None = None,
+        near_null_space: PETSc.NullSpace | None = None,
+        null_space: PETSc.NullSpace | None = None,
+        P: ufl.Form | None = None,
+        kind: str | None = None,
+        entity_maps: Sequence[object] | None = None,
     ) -> None:
         """Tear the mesh, derive and compile the forms. Collective; raises on all processes.
 
         Args:
-            F: Residual, or residuals [F_u, F_s] of u and of scalars; or an energy, whose
-                derivatives are taken; with ``condense``, an energy Π(u, p) or the residuals (tested
-                with v, and with the q of each condensed field).
-            u: Unknown; holds the start and then the solution. Or [u, s], s on real spaces.
-            bcs: Dirichlet conditions on u.
-            J: Tangent of the residual tested with v, in u; derived from it if not given. A
-                symmetric one lets FETI use conjugate gradients.
+            F: Residual; or residuals of several unknowns, in the order of ``u`` followed by that of
+                ``condense``; or an energy, whose derivatives are taken.
+            u: Unknown, which holds the start and then the solution. Or several in any order: one on
+                a continuous space; fields whose dofs no two cells share, such as discontinuous
+                pressures, which are condensed; and scalars on real spaces.
+            bcs: Dirichlet conditions on the continuous unknown.
+            J: Tangent of the residual in u, or in blocks, with None for zero, in the order of F
+                (with those of ``condense`` last); derived from F if not given. A symmetric one lets
+                FETI use conjugate gradients.
             form_compiler_options: Options of FFCx.
             jit_options: Options of the C compiler and its cache.
-            condense: Scalar field, or several, whose dofs no two cells share, such as a
-                discontinuous pressure: eliminated cell by cell, and updated with u.
-            energy: Potential Π(u) or Π(u, p) whose derivatives are the residuals F, if they have
-                one: F itself if that is an energy. It keeps Newton's method on the way down.
-            volume_tolerance: Most that abs(J − 1) may be in the mean of each cell: multipliers then
-                take the place of an ever larger κ, see :meth:`solve`.
-            internal_variables: What the material remembers: Functions of quadrature points or of
-                cells (DG), each with its update in UFL, see :meth:`update_internal_variables`.
+            condense: Field, or several, whose dofs no two cells share, such as a discontinuous
+                pressure: they are condensed cell by cell, and updated with u.
+            energy: Potential Π(u) or Π(u, p) whose derivatives are the residuals F, if there is
+                one; F itself if that is an energy. Used by the line search to ensure descent.
+            volume_tolerance: Bound of abs(J − 1) in the mean of each cell. Multipliers enforce it
+                with a moderate κ, see :meth:`solve`.
+            internal_variables: State variables of the material: Functions of quadrature points or
+                of cells (DG), each with its update in UFL, see :meth:`update_internal_variables`.
             petsc_options: Options without prefix: ``snes_…``, ``feti_…``, see ``docs/options.md``.
-            quadrature_degree: Highest degree of the integrals that state none; UFL's estimates, as
-                in dolfinx, if not given.
-            volume_ratio: Expression that every iterate keeps positive at all points of a quadrature
-                of this degree, or of twice that of u. If not given, det(I + Grad u) where the forms
-                contain I + Grad u, Grad uᵀ Grad u, or a determinant or inverse in Grad u.
-            scalars: Scalar unknowns beside u with their equations, such as cavities whose volume is
-                prescribed (:mod:`dolfinx_feti.scalars`). Those on real spaces belong to u and F.
-            **common: ``subdomains``, ``petsc_options_prefix`` and more, see
-                :class:`~dolfinx_feti.problems.torn_problem.Common`.
+            quadrature_degree: Highest degree of integrals whose measure states none; UFL's
+                estimates, as in dolfinx, if not given.
+            volume_ratio: Expression that every iterate keeps positive, at all points of a
+                quadrature of the degree ``quadrature_degree``, or twice the degree of u if that is
+                not given. If the expression is not given, it is det F of the deformation gradient
+                in the forms, such as I + Grad u, or I + Δt Grad v of a velocity. If the forms
+                contain no such F, nothing is kept positive.
+            scalars: Scalar unknowns in addition to u, with their equations, such as cavities whose
+                volume is prescribed (:mod:`dolfinx_feti.scalars`). Those on real spaces belong to u
+                and F.
+            kappa: Modulus for condensed fields whose equation contains u but none of the fields, as
+                of an incompressible material: p = kappa (J − 1), in the unit of the stress. A
+                penalty if given alone; with ``volume_tolerance`` the modulus of the multipliers.
+                Without both, multipliers are used, with a modulus from the stiffness at the start.
+                Several such fields have one modulus.
+            before_assembly: Function that is called with u, as it was given, on all processes
+                before the residual and the tangent of each new state are assembled, trial states of
+                the line search included. u, the condensed fields and the scalars hold that state,
+                with ghosts. It updates coefficients of F and J, such as a stress from outside of
+                UFL, from that state alone; it does not change the state. An energy given as F is
+                then not used by the line search, because its derivative does not contain the
+                change of the coefficients; one given by ``energy=`` is.
+            contacts: Contacts of surfaces with rigid tools (:mod:`dolfinx_feti.contact`), which are
+                added to F, J and the energy.
+            contact_tolerance: Largest penetration, or distance at which a multiplier still pushes,
+                over the size of a cell. The default is invisible in a plot of the cells.
+            boundary: Conditions on the surfaces of a wall, which ``apply_conditions`` of
+                :mod:`dolfinx_feti.wall` returns: they are added to F, J, the energy and ``bcs``.
+            subdomains: Number of subdomains over all processes, or the part of each owned cell;
+                about one for 2000 dofs if not given.
+            seed: Seed of the partitioner: one number gives the same decomposition in every run.
+            petsc_options_prefix: Non-empty prefix of all options, equal on all processes; a unique
+                one, ``nonlinear_problem_0_``, ``nonlinear_problem_1_`` and so on, if not given.
+            near_null_space: Orthonormal vectors that every tangent maps nearly to zero; constants
+                and the rotations of the deformed body if not given. May be attached to ``A``, too.
+            null_space: Orthonormal vectors that every tangent maps to zero. May also be attached to
+                ``A``.
+            P: Accepted for compatibility with dolfinx; ignored.
+            kind: Accepted for compatibility with dolfinx; ignored.
+            entity_maps: Accepted for compatibility with dolfinx; several meshes cannot be torn.
 
         Raises:
             ValueError: Bad prefix, options, subdomains, boundary conditions or forms.
             TypeError: An unsupported element or scalar type.
         """
         check_scalar_type()
-        self._given = u
-        F, u, blocks = separated(F, u)
-        require_function(u)
-        assert isinstance(u, dolfinx.fem.Function)
-        V = u.function_space
-        conditions = on_all(lambda: checked_conditions(V, bcs), V.mesh.comm)
-        fields = condensed_fields(condense)
-        couplings = [*blocks, *coupled.checked_couplings(scalars, conditions, V)]
-        degree, work = quadrature_degree, coupled.works(couplings)
-        forms = derive(F, u, J=J, condense=fields, energy=energy, degree=degree, work=work)
-        coupled.refuse_condensed_fields(couplings, fields, forms.residuals[1:])
-        torn = replace(
-            forms,
-            energy=None if couplings else forms.energy,
-            volume_ratio=default_volume_ratio(forms) if volume_ratio is None else volume_ratio,
-            degree=2 * V.ufl_element().embedded_superdegree if degree is None else degree,
+        update = None
+        if before_assembly is not None:
+            require_callable(before_assembly)
+            update = partial(before_assembly, u)
+        for function in u if isinstance(u, Sequence) else [u]:
+            require_function(function)
+
+        if boundary is not None:
+            bounded = add_boundary(
+                boundary, F, u, bcs, J, condense=as_tuple(condense), energy=energy
+            )
+            F = bounded.F
+            J = bounded.J
+            energy = bounded.energy
+            bcs = bounded.bcs
+
+        # which unknown is torn, which are condensed, and which are scalars
+        blocks = arrange_nonlinear(F, u, J, as_tuple(condense))
+        users_unknown = blocks.u  # perhaps with a mixed element, which the next line rewrites
+        has_more = bool(blocks.equations or scalars or contacts)
+        blocks, energy, mixed = _rewrite_mixed_of_one(blocks, energy, has_more_unknowns=has_more)
+        self.unknown = blocks.u
+        V = blocks.u.function_space
+        comm = V.mesh.comm
+
+        # what acts on them
+        on_all(lambda: require_torn_space(V, blocks.F), comm)
+        conditions = on_all(
+            lambda: checked_conditions(V, bcs, fields=blocks.fields, mixed=mixed), comm
         )
-        compilers = form_compiler_options, jit_options
+        couplings = [*blocks.equations, *coupled.check_couplings(scalars, conditions, V)]
+        self._contact_tolerance = contact_tolerance
+        self._contacts = Contacts(
+            on_all(lambda: checked_contacts(contacts, blocks.u, contact_tolerance), comm)
+        )
+
+        # forms on the unknown that is torn
+        forms = derive(
+            blocks.F,
+            blocks.u,
+            J=blocks.J,
+            condense=blocks.fields,
+            energy=energy,
+            degree=quadrature_degree,
+            work=coupled.coupling_works(couplings),
+            updates_coefficients=update is not None,
+            contacts=self._contacts.contacts,
+        )
+        check_kappa(kappa, has_incompressible_field=forms.compression is not None)
+        coupled.refuse_condensed_fields(couplings, blocks.fields, forms.residuals[1:])
+        if update is None:  # else a pressure that is zero now may be set by before_assembly
+            check_pressures(
+                blocks.F,
+                energy,
+                blocks.u,
+                blocks.fields,
+                internal_variables or {},
+                Compiler(comm, form_compiler_options, jit_options),
+            )
+        content_energy = forms.energy  # its Constants identify the problem, even if it is dropped
+        # The equations of scalars are no derivatives of an energy. ``derive`` has dropped it if
+        # scalars do work on u; it is of no use without such work, either.
+        if couplings:
+            forms = replace(forms, energy=None)
+        forms = _with_volume_ratio(forms, volume_ratio, quadrature_degree)
+
+        # torn matrix and system
         super().__init__(
-            "nonlinear_problem", torn, conditions, couplings, compilers, petsc_options, **common
+            replace(forms, mixed=mixed),
+            conditions,
+            name="nonlinear_problem",
+            scalars=couplings,
+            before_assembly=update,
+            options=ProblemOptions(
+                form_compiler_options=form_compiler_options,
+                jit_options=jit_options,
+                petsc_options=petsc_options,
+                petsc_options_prefix=petsc_options_prefix,
+                subdomains=subdomains,
+                seed=seed,
+                near_null_space=near_null_space,
+                null_space=null_space,
+                P=P,
+                kind=kind,
+                entity_maps=entity_maps,
+            ),
         )
-        self.u, system = u, self._system
-        if volume_tolerance is not None:
-            prepare(system, volume_tolerance)
-        self._volume_tolerance = volume_tolerance
-        equations = (c for coupling in couplings for c in coupling.equation.equations)
-        parts = (*forms.residuals, forms.energy, *equations)
-        self.content = content_of((u, *fields), parts)
-        self._memory = create_internal_variables(
+        self.u = u
+        self._volume_tolerance = create_volume_multipliers(
+            self._system,
+            kappa=kappa,
+            volume_tolerance=volume_tolerance,
+            default_tolerance=VOLUME_TOLERANCE,
+        )
+        self._contacts.prepare(self._compiler)
+
+        # what a path stores, and what is checked in accepted states
+        scalar_equations = [c for coupling in couplings for c in coupling.equation.equations]
+        self.content = content_of(
+            (users_unknown, *blocks.fields, *self._contacts.multipliers),
+            (*forms.residuals, content_energy, *scalar_equations),
+        )
+        self._internal_variables = create_internal_variables(
             internal_variables or {}, self._compiler, coefficients=self.content.coefficients
         )
-        self._history: list[NewtonStep] = []
+        self._cells = None
+        if forms.volume_ratio is not None:
+            self._cells = CellCheck(
+                forms.volume_ratio,
+                blocks.u,
+                blocks.fields,
+                self._compiler,
+                quadrature_degree=forms.degree,
+            )
+
+        # records and solver
+        self._history_before_update: list[NewtonStep] = []  # of solves before the last update of λ
         self.volume_changes: list[float] = []
-        self._newton = Newton(system, self._known_advice)
+        self.contact_violations: list[float] = []
+        self._newton = Newton(self._system)
         self.solver = create_newton_solver(self._newton, self.A, self._prefix, self._petsc_options)
+        with inserted(self._prefix, self._petsc_options):
+            self._newton.hooks.attach(self.solver, self.b)
 
     @cached_property
     def F(self) -> dolfinx.fem.Form:
-        """The compiled residual, without condensation; as ``J`` collective the first time."""
+        """The compiled residual, without condensation, as in dolfinx. Collective the first time."""
         return self._compiler.form(self._forms.F_u)
 
     @cached_property
     def J(self) -> dolfinx.fem.Form:
-        """The compiled tangent, for other uses: FETI has one on the torn space. Collective."""
+        """The compiled tangent, as in dolfinx; FETI has its own on the torn space.
+
+        Collective the first time.
+        """
         return self._compiler.form(self._forms.J)
 
     def __getattr__(self, name: str) -> object:
-        """Answer a script that hands the problem to dolfinx's ``NewtonSolver``."""
+        """Raise an error, with a remedy for scripts that pass the problem to ``NewtonSolver``.
+
+        dolfinx's ``NewtonSolver`` looks for the names below.
+        """
         message = f"'{type(self).__name__}' object has no attribute '{name}'"
         if name not in ("L", "a", "form"):
             raise AttributeError(message)
-        message += "; it drives Newton's method itself: call problem.solve() in the place of "
-        message += "dolfinx.nls.petsc.NewtonSolver"
-        raise AttributeError(message, name=name, obj=None)  # else Python asks whether 'A' was meant
+        message += (
+            "; it drives Newton's method itself: call problem.solve() in the place of "
+            "dolfinx.nls.petsc.NewtonSolver"
+        )
+        # with an object Python would add its own suggestion, "Did you mean: 'A'?"
+        raise AttributeError(message, name=name, obj=None)
 
     @property
     def history(self) -> list[NewtonStep]:
-        """What each Newton step of the last solve cost, those after multipliers included."""
-        return self._history + self._newton.history
+        """Records of the Newton steps of the last solve, between all updates of multipliers."""
+        return self._history_before_update + self._newton.history
+
+    @property
+    def n_updates(self) -> int:
+        """Number of updates of the multipliers of the volume in the last solve."""
+        return max(len(self.volume_changes) - 1, 0)
+
+    @property
+    def has_contacts(self) -> bool:
+        """Whether the problem has contacts."""
+        return bool(self._contacts)
 
     def residual_norm(self) -> float:
-        """Return ‖r‖ of the present state under the present load. Collective."""
-        self._hold()
-        return self._system.norm(self._system.residual().condensed)
+        """Return ‖r‖ of the present state under the present load, with λ = p. Collective."""
+        self._begin_with_present_pressures()
+        return norm(self._system.comm, self._system.residual().condensed)
 
-    def linearise(self) -> Tangent:
+    def linearise(self) -> TangentId:
         """Assemble the tangent at the present state and load, for the first step. Collective.
 
-        Call it in an equilibrium, *before* the load grows, and give it to :meth:`solve`: the first
-        step is then a prediction along the path. A tangent with the new load and the old stress can
-        be indefinite although every state on the way is stable. It returns a name of the tangent,
-        which the matrix holds until the next step is assembled.
+        Call it in an equilibrium, *before* the load grows, and pass the result to :meth:`solve`:
+        the first step is then a prediction along the path. A tangent with the new load and the old
+        stress can be indefinite although every state on the way is stable.
+
+        Returns:
+            Identity of the tangent; the matrix holds the tangent until the next assembly.
         """
+        self._contacts.require_penalties(self._system)
         return self._system.linearise()
 
-    def _assemble(self) -> Residual:
-        self._hold()
-        return super()._assemble()
+    def _balance(self) -> Balance:
+        self._begin_with_present_pressures()
+        is_deformed = self._system.deformation is not None
+        force = self._system.residual().force
+        return Balance(force, self._forms.F_u, is_deformed=is_deformed)
+
+    def _assemble_system(self) -> Residual:
+        self._begin_with_present_pressures()
+        return super()._assemble_system()
 
     def solve(
         self,
         *,
         reference: float | None = None,
-        first_tangent: Tangent | None = None,
+        first_tangent: TangentId | None = None,
         renew: bool = True,
         give_up_early: bool = False,
+        check_cells: bool = True,
     ) -> dolfinx.fem.Function | Sequence[dolfinx.fem.Function]:
         """Iterate from the present u (and pressure) to the solution, as u was given. Collective.
 
-        With a ``volume_tolerance`` the material is incompressible in the end: after each Newton
-        solve the pressure becomes the multiplier (docs/theory.md, *Multipliers*). A solve begins
-        with λ = p: a state that is restored or read brings its multipliers along.
+        With a ``volume_tolerance`` the pressure becomes the multiplier after each Newton solve,
+        until the material is incompressible (docs/theory.md, *Multipliers*). A solve begins with
+        λ = p: a state that is restored or read includes its multipliers.
 
         Args:
-            reference: A residual norm that the relative tolerance refers to if that of the start is
-                larger, such as :meth:`residual_norm` of the last equilibrium under the new load
-                where a guess begins with a far larger one. One that is NaN does not count.
-            first_tangent: The tangent of the first step, made by :meth:`linearise`; that of the
-                present state if not given.
-            renew: Whether FETI's preconditioner and its Ritz vectors begin anew. If not, those of
-                the last solve serve on as long as ``-feti_lag`` lets them: faster where the state
-                has not changed much, and u depends on earlier solves, within the tolerance.
-            give_up_early: Whether to end at once where step lengths stay below 0.1, or where the
-                tangent of a bad guess is indefinite: a shorter increment is cheaper then.
+            reference: A residual norm. ``snes_rtol`` refers to it if it is smaller than the norm at
+                the start. Paths pass :meth:`residual_norm` of the last equilibrium under the new
+                load, because a predicted state may begin with a norm larger by orders of
+                magnitude. NaN is ignored.
+            first_tangent: What :meth:`linearise` has returned: the first step uses that tangent. If
+                not given, and in problems with contacts, it uses that of the present state.
+            renew: Whether to discard FETI's preconditioner and its Ritz vectors. If not, those of
+                the last solve are used for as long as ``-feti_lag`` allows: faster if the state has
+                changed little, but u then depends on earlier solves, within the tolerance.
+            give_up_early: Whether to end at once if step lengths stay below 0.1, or if the first
+                tangent is indefinite at a start that is worse than the last equilibrium: a shorter
+                increment is cheaper then (``iteration.early_end``).
+            check_cells: Whether to check the cells of the solution, as :meth:`warn_of_cells` does.
+                Paths do so in each state that they accept.
 
         Raises:
-            ConvergenceError: Newton's method or FETI failed; u holds the last good iterate.
+            ConvergenceError: Newton's method or FETI failed; u holds the last iterate. Classes in
+                ``dolfinx_feti.errors`` distinguish the causes.
             ValueError: ``reference`` is negative, or the matrix no longer holds ``first_tangent``.
         """
         system = self._system
         if reference is not None and reference < 0.0:
             raise ValueError(f"reference is {reference}: give the norm of a residual.")
-        if system.comm.allreduce(first_tangent not in (None, system.tangent), op=MPI.LOR):
+        is_outdated = first_tangent is not None and first_tangent is not system.tangent.id
+        if system.comm.allreduce(is_outdated, op=MPI.LOR):
             raise ValueError(
                 "first_tangent names a tangent that this problem's matrix does not hold any more: "
                 "pass what linearise() has returned to the very next solve()."
             )
-        most = np.inf if reference is None else float(reference)
-        start = Start(reference=most, tangent=first_tangent, early=give_up_early)
+        has_reference = reference is not None and bool(np.isfinite(reference))
+        start = Start(
+            reference_norm=np.inf if reference is None else float(reference),
+            follows_equilibrium=has_reference,
+            # a tangent of the last equilibrium lacks the points that have touched a tool since
+            tangent=None if self._contacts else first_tangent,
+            allows_early_end=give_up_early,
+        )
         system.scalars.check()
+        on_all(lambda: check_newton_solver(self.solver, self._newton), system.comm)
         if renew:
             self.renew()
-        self._history, self.volume_changes = [], []
-        if self._volume_tolerance is None:
+        self._history_before_update = []
+        self.volume_changes = []
+        self.contact_violations = []
+        if self._volume_tolerance is None and not self._contacts:
             self._run(start)
         else:
-            self._run_with_multipliers(start, self._volume_tolerance)
-        return self._given
+            self._run_with_multipliers(start)
+        if check_cells:
+            self.warn_of_cells()
+        return self.u
+
+    def cell_volumes(self) -> CellVolumes | None:
+        """Return the volume changes of the cells in the present state. Collective.
+
+        det F, or ``volume_ratio``, is evaluated at points that the quadrature lacks: vertices and
+        midpoints of edges, faces and cells (docs/cells_inside_out.md).
+
+        Returns:
+            The smallest and largest value, and how many cells are inside out; None if the forms
+            contain no deformation gradient, or are defined at quadrature points only.
+        """
+        if self._cells is None:
+            return None
+        return self._cells.measure(self._system.conditions.mask)
+
+    def warn_of_cells(self) -> None:
+        """Log a warning if cells are inside out or distorted in the present state. Collective.
+
+        A problem warns once of distorted cells, and once of cells that are inside out.
+        """
+        if self._cells is not None:
+            self._cells.warn(self._system.conditions.mask)
+
+    def _advice_on_cells(self, volumes: CellVolumes | None) -> list[Advice]:
+        if volumes is None or self._cells is None:
+            return []
+        return self._cells.advise(volumes)
 
     def _run(self, start: Start) -> None:
-        """Iterate by Newton's method, or raise ConvergenceError."""
-        self._newton.start = start
+        """Iterate by Newton's method. Collective.
+
+        Raises:
+            ConvergenceError: It failed.
+        """
+        self._newton.prepare(start)
         try:
-            with inserted(self._prefix, self._petsc_options), python_errors():
+            with (
+                inserted(self._prefix, self._petsc_options),
+                failures_as_reasons(self.solver, self.solver.getKSP()),
+                python_errors(self.solver),
+            ):
                 self.solver.solve(None, self.x)
-        except BaseException:  # of a monitor, during which PETSc locks x
-            locked, self.x = self.x, self.x.duplicate()
+                if self._newton.history:  # else no linear solver has read its options
+                    warn_of_unread_options(self.solver, self._prefix, self._petsc_options)
+        except BaseException:
+            # PETSc locks x while it calls a monitor, and does not unlock it after an error there
+            locked = self.x
+            self.x = self.x.duplicate()
             locked.destroy()
             raise
-        self.b.array[:] = self._newton.residual
+        self.b.array[:] = self._newton.last_residual
         if self.solver.getConvergedReason() < 0:
-            message = self._newton.message.rstrip(".")
-            raise ConvergenceError(f"Newton's method did not converge: {message}.")
+            outcome = self._newton.outcome
+            message = outcome.message.rstrip(".")
+            raise outcome.error(f"Newton's method did not converge: {message}.")
 
-    def _run_with_multipliers(self, start: Start, tolerance: float) -> None:
-        """Iterate by Newton's method and update the multipliers, in turn, up to a tolerance."""
-        reference = min(self.residual_norm(), start.reference)  # λ = p
-        rtol, *_ = self.solver.getTolerances()
+    def _run_with_multipliers(self, start: Start) -> None:
+        """Iterate by Newton's method and update the multipliers, in turn, up to their tolerances.
+
+        With multipliers of the volume alone, Newton solves end as intermediate ones; the one whose
+        state meets the solver's own tolerances is the last. Multipliers of a contact are updated in
+        equilibrium: only there is it known which points touch.
+        """
+        self._contacts.fit_multipliers()
+        reference_norm = min(self.residual_norm(), start.reference_norm)  # with λ = p
+        kinds: list[MultiplierUpdates] = []
+        if self._volume_tolerance is not None:
+            # a looser solve does not determine p, and so the volume, any better than its tolerance
+            tolerance = max(self._volume_tolerance, relative_tolerance(self.solver))
+            volume = VolumeMultipliers(self._system, tolerance)
+            kinds.append(volume)
+            self.volume_changes = volume.violations
+        if self._contacts:
+            contact = ContactUpdates(self._system, self._contacts, self._contact_tolerance)
+            kinds.append(contact)
+            self.contact_violations = contact.violations
+        is_intermediate = not self._contacts
 
         def solve(update: int) -> bool:
             if update:
-                self._history += self._newton.history
-            self._run(replace(Start() if update else start, reference=reference, rough=True))
-            return self._newton.at_end
+                self._history_before_update += self._newton.history
+            begin = Start() if update else start
+            begin = replace(begin, reference_norm=reference_norm, is_intermediate=is_intermediate)
+            self._run(begin)
+            return self._newton.outcome.is_within_tolerances
 
-        for change in updated(self._system, solve, max(tolerance, rtol)):
-            self.volume_changes.append(change)
+        update_until_met(kinds, solve)
+        self._contacts.require_no_crossing(self._contact_tolerance)
+        self._contacts.store_positions()
+        self._contacts.show_pressures()
 
-    def _hold(self) -> None:
-        """Let the present pressure be the multiplier, if there are multipliers."""
+    def _begin_with_present_pressures(self) -> None:
+        """Choose missing penalties of contacts, and set λ = p if there is a volume tolerance.
+
+        Collective.
+        """
+        self._contacts.require_penalties(self._system)
         if self._volume_tolerance is not None:
-            hold(self._system)
+            set_multipliers_to_pressure(self._system)
 
     @property
     def internal_variables(self) -> tuple[dolfinx.fem.Function, ...]:
-        """The Functions that hold what the material remembers, and scalars of a path."""
-        return (*self._memory.functions, *self._system.scalars.histories)
+        """The Functions with the internal variables of material, scalars and contacts."""
+        of_scalars_and_contacts = (*self._system.scalars.histories, *self._contacts.penalties)
+        return (*self._internal_variables.functions, *of_scalars_and_contacts)
 
     def update_internal_variables(self, *, balanced: bool | None = None) -> None:
-        """Let each internal variable be its update at the present state, all at once. Collective.
+        """Update all internal variables at once from the present state. Collective.
 
         Call it when a state is accepted, as ``follow_load`` and ``follow_time`` do: a solve changes
-        none of them. With ``balanced`` only those that the balance of forces depends on, or not.
+        none of them.
+
+        Args:
+            balanced: Which ones to update. None: all. True: those that the balance of forces
+                depends on, which paths update after ``on_step``. False: the others, which paths
+                update before it.
         """
-        self._memory.update(balanced=balanced)
+        self._internal_variables.update(balanced=balanced)
         if balanced is not False:
             self._system.scalars.accept()
 
     def begin_step(self, length: float) -> None:
-        """Tell the scalars, such as a Windkessel, the length of the next step of load or time."""
+        """Prepare scalars and contacts for the next step of load or time.
+
+        Contacts store the positions of body and tools before it.
+
+        Args:
+            length: Length of the step, in the unit of the path: Δt of time steps, which a
+                Windkessel needs, or the increment of the load.
+        """
         self._system.scalars.begin(length)
+        self._contacts.store_positions()
 
     def renew(self) -> None:
-        """Let the next solve begin with a preconditioner of its own, and no Ritz vectors."""
+        """Discard the preconditioner and the Ritz vectors; the next solve makes new ones."""
         self.solver.getKSP().getPythonContext().renew()
+
+    def _advice_of_solves(self) -> list[Advice]:
+        return [finding.advice for finding in self._newton.findings]
+
+
+def _with_volume_ratio(
+    forms: Forms, volume_ratio: Expr | None, quadrature_degree: int | None
+) -> Forms:
+    """Return forms with their volume ratio, and the degree of the points where it is watched.
+
+    Args:
+        forms: The forms.
+        volume_ratio: The user's expression, or None.
+        quadrature_degree: The user's degree; if None, twice that of u, the degree that is
+            recommended for F as well.
+    """
+    if volume_ratio is None:
+        ratio = volume_ratio_of(forms)
+    else:
+        ratio = volume_ratio_of_expression(volume_ratio, forms.u)
+    degree = quadrature_degree
+    if degree is None:
+        degree = 2 * forms.u.function_space.ufl_element().embedded_superdegree
+    return replace(forms, volume_ratio=ratio, degree=degree)
+
+
+def _rewrite_mixed_of_one(
+    blocks: NonlinearBlocks, energy: ufl.Form | None, *, has_more_unknowns: bool
+) -> tuple[NonlinearBlocks, ufl.Form | None, MixedOfOne | None]:
+    """Rewrite a problem on a mixed element with one part as one on that part. Collective.
+
+    Args:
+        blocks: The problem.
+        energy: Its energy.
+        has_more_unknowns: Whether it has scalars or contacts.
+
+    Returns:
+        The problem, its energy, and the unknown as it was given; for another element the problem as
+        it is and None.
+
+    Raises:
+        ValueError: The element is mixed, and there are scalars or contacts.
+    """
+    if not is_mixed_of_one(blocks.u.function_space):
+        return blocks, energy, None
+    if has_more_unknowns:
+        raise ValueError(
+            "The unknown has a mixed element of one, which takes no scalars or contacts: create "
+            "its space with that element alone."
+        )
+    mixed = MixedOfOne(blocks.u)
+    F = mixed.rewrite(blocks.F)
+    J = mixed.rewrite(blocks.J)
+    return replace(blocks, F=F, J=J, u=mixed.u), mixed.rewrite(energy), mixed

@@ -1,52 +1,51 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What a linear and a nonlinear problem share: arguments, another solver of A, a diagnosis."""
+"""Base class of linear and nonlinear problems: torn matrix, other solvers of A, diagnosis."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TypedDict, Unpack
+import difflib
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Self
 
+from mpi4py import MPI
 from petsc4py import PETSc
+
+import numpy.typing as npt
 
 import dolfinx
 import ufl
 
 from dolfinx_feti.diagnosis.advice import Advice
+from dolfinx_feti.diagnosis.cell_volumes import CellVolumes
 from dolfinx_feti.diagnosis.run import Diagnosis, diagnose
+from dolfinx_feti.fem.assembly import assemble_owned
+from dolfinx_feti.fem.checks import check_forms
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, suggested_number
-from dolfinx_feti.problems.arguments import agreed_prefix, checked_conditions
+from dolfinx_feti.problems.arguments import checked_conditions, checked_prefix, require_form
+from dolfinx_feti.problems.equations.system import Residual, System
 from dolfinx_feti.problems.forms import Forms
+from dolfinx_feti.problems.reactions import Reaction, reaction
 from dolfinx_feti.problems.solvers import create_solver
-from dolfinx_feti.problems.system import Residual, System
-from dolfinx_feti.runtime.arrays import Integers
+from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.runtime.collective import on_all, warn
 from dolfinx_feti.scalars.equations import Coupling
 
 
-class Common(TypedDict, total=False):
-    """Further arguments of both problems, by keyword.
+@dataclass(frozen=True, slots=True)
+class ProblemOptions:
+    """Arguments that both problem classes have; :class:`NonlinearProblem` describes them."""
 
-    Attributes:
-        subdomains: Their number over all processes, or a part per owned cell; about one for 2000
-            dofs if not given.
-        seed: Another number for another decomposition into as many subdomains; that of one number
-            is the same in every run.
-        petsc_options_prefix: Non-empty prefix of all options, equal on all processes; one of its
-            own, ``linear_problem_0_``, ``nonlinear_problem_0_`` and so on, if not given.
-        near_null_space: What A nearly maps to zero, orthonormal; constants and the rotations of the
-            deformed body if not given. As null_space, it may also be attached to ``A``.
-        null_space: What A, or every tangent, maps to zero, orthonormal.
-        P: Without effect, as a preconditioner of dolfinx's.
-        kind: Without effect, as a type of dolfinx's matrices.
-        entity_maps: None; several meshes cannot be torn.
-    """
-
+    form_compiler_options: Mapping[str, object] | None
+    jit_options: Mapping[str, object] | None
+    petsc_options: Mapping[str, object] | None
+    petsc_options_prefix: str | None
     subdomains: int | Integers | None
     seed: int
-    petsc_options_prefix: str | None
     near_null_space: PETSc.NullSpace | None
     null_space: PETSc.NullSpace | None
     P: ufl.Form | None
@@ -54,92 +53,129 @@ class Common(TypedDict, total=False):
     entity_maps: Sequence[object] | None
 
 
+class Balance(NamedTuple):
+    """The forces that reactions are computed from."""
+
+    residual: Array  # F(u; φ_i) at the present state, reactions on Dirichlet dofs, (owned,)
+    form: ufl.Form  # F
+    is_deformed: bool  # do forces act at deformed positions?
+
+
 class TornProblem:
     """A problem whose linear systems are torn.
 
     Attributes:
-        u: The unknown.
+        u: The unknown, or the list of unknowns of a problem in blocks.
+        unknown: The unknown on the continuous space, which is torn: u, or one of the list.
         solver: PETSc's solver.
         A: The torn matrix; ``A.mult`` is the assembled operator.
-        b: The right-hand side of a linear problem; the residual of the last iterate of another one,
-            with the pressure condensed into it.
-        x: The last solution or iterate, as ``b`` without ghosts; u has memory of its own.
-        P_mat: None, for FETI's preconditioner is no matrix; as ``preconditioner``.
+        b: The right-hand side of a linear problem; the residual r of the last iterate of a
+            nonlinear one, with the fields condensed into it.
+        x: The last solution or iterate, without ghosts, as ``b``; u has its own memory.
+        P_mat: None: FETI's preconditioner is not a matrix.
+        preconditioner: None, likewise.
         decomposition: Subdomain of each owned cell.
     """
 
     P_mat: None = None
     preconditioner: None = None
-    u: dolfinx.fem.Function
+    u: dolfinx.fem.Function | Sequence[dolfinx.fem.Function]
+    unknown: dolfinx.fem.Function
     solver: PETSc.KSP | PETSc.SNES
+
+    def __new__(cls, *_: object, **keywords: object) -> Self:
+        """Raise an error for keyword arguments that do not exist, with the most similar one.
+
+        Python suggests similar ones itself from 3.13 on.
+
+        Raises:
+            TypeError: A keyword argument does not exist.
+        """
+        signature = inspect.signature(cls.__init__).parameters
+        if any(parameter.kind is parameter.VAR_KEYWORD for parameter in signature.values()):
+            return super().__new__(cls)  # a subclass that hands its keywords on
+        parameters = list(signature)[1:]
+        for name in sorted(keywords.keys() - set(parameters)):
+            message = f"{cls.__name__}() got an unexpected keyword argument '{name}'"
+            similar = difflib.get_close_matches(name, sorted(parameters), n=1)
+            if similar:
+                message += f". Did you mean '{similar[0]}'?"
+            raise TypeError(message)
+        return super().__new__(cls)
 
     def __init__(
         self,
-        name: str,
         forms: Forms,
         bcs: Sequence[dolfinx.fem.DirichletBC],
+        *,
+        name: str,
         scalars: Sequence[Coupling],
-        compilers: tuple[Mapping[str, object] | None, Mapping[str, object] | None],
-        petsc_options: Mapping[str, object] | None,
-        /,
-        **common: Unpack[Common],
+        before_assembly: Callable[[], object] | None,
+        options: ProblemOptions,
     ) -> None:
-        """Tear the mesh and compile the forms, which are checked; see :class:`Common`."""
-        for other in sorted(common.keys() - Common.__annotations__.keys()):
-            problem = type(self).__name__
-            raise TypeError(f"{problem}() got an unexpected keyword argument '{other}'")
+        """Tear the mesh and compile the forms. Collective.
+
+        Args:
+            forms: Forms, which have been checked.
+            bcs: Dirichlet conditions, which have been checked.
+            name: Of the problem class; begins the default prefix of its options.
+            scalars: Scalar unknowns with their equations.
+            before_assembly: Called before each assembly at a new state; None of a linear problem.
+            options: The other arguments of both problem classes.
+
+        Raises:
+            ValueError: Bad prefix, options, subdomains, or several meshes.
+        """
         V = forms.u.function_space
         comm = V.mesh.comm
-        if common.get("entity_maps"):
+        if options.entity_maps:
             raise ValueError(
                 "entity_maps relates several meshes, but only forms on one mesh can be torn: put "
                 "coefficients on the mesh of the unknown."
             )
-        unused = " and ".join(name for name in ("P", "kind") if common.get(name) is not None)
-        if unused:
-            warn(
-                f"Without effect: {unused}. FETI has a preconditioner and a matrix (MATIS) of its "
-                "own; leave it out.",
-                comm,
-            )
-        self._known_advice: list[Advice] = []  # what earlier solves have found
-        self._prefix = agreed_prefix(common.get("petsc_options_prefix"), name, comm)
-        self._petsc_options = dict(petsc_options or {})
-        self._forms, self._compiler = forms, Compiler(comm, *compilers)
-        subdomains = common.get("subdomains")
-        if subdomains is None:  # a null space is one of several subdomains together
+        _warn_of_ignored_arguments(options.P, options.kind, comm)
+        self._prefix = checked_prefix(options.petsc_options_prefix, name, comm)
+        self._petsc_options = dict(options.petsc_options or {})
+        self._forms = forms
+        self._compiler = Compiler(comm, options.form_compiler_options, options.jit_options)
+        subdomains = options.subdomains
+        if subdomains is None:
+            # FETI needs an interface: copies of dofs, or Dirichlet conditions as rows of B
             subdomains = suggested_number(V, 1 if bcs else 2)
-        self.decomposition = decompose(V.mesh, subdomains, seed=common.get("seed", 0))
+        self.decomposition = decompose(V.mesh, subdomains, seed=options.seed)
         self._system = System(
             forms,
             bcs=bcs,
             decomposition=self.decomposition,
             compiler=self._compiler,
             scalars=scalars,
+            before_assembly=before_assembly,
         )
-        self.A = self._system.A
-        if (near_kernel := common.get("near_null_space")) is not None:
-            self.A.setNearNullSpace(near_kernel)
-        if (kernel := common.get("null_space")) is not None:
-            self.A.setNullSpace(kernel)
+        self.A = self._system.tangent.A
+        if options.near_null_space is not None:
+            self.A.setNearNullSpace(options.near_null_space)
+        if options.null_space is not None:
+            self.A.setNullSpace(options.null_space)
         self.x, self.b = self.A.createVecs()
-        for suffix, owned in (("A", self.A), ("x", self.x), ("b", self.b)):
-            owned.setOptionsPrefix(f"{self._prefix}{suffix}_")
+        for suffix, petsc_object in (("A", self.A), ("x", self.x), ("b", self.b)):
+            petsc_object.setOptionsPrefix(f"{self._prefix}{suffix}_")
 
     @property
     def bcs(self) -> tuple[dolfinx.fem.DirichletBC, ...]:
-        """The Dirichlet conditions. Others, assigned on all processes, hold in the next solve.
+        """The Dirichlet conditions. To change them for the next solve, assign others (collective).
 
         Raises:
-            ValueError: What is assigned is no list of conditions on the space of the unknown, or
-                leaves a scalar unknown without a solution.
+            ValueError: The value is not a list of conditions on the space of the unknown, or leaves
+                a scalar unknown without a solution.
         """
-        return tuple(self._system.bcs)
+        return self._system.conditions.bcs
 
     @bcs.setter
     def bcs(self, bcs: Sequence[dolfinx.fem.DirichletBC] | None) -> None:
-        V = self._system.u.function_space
-        self._system.prescribe(on_all(lambda: checked_conditions(V, bcs), V.mesh.comm))
+        V = self._forms.u.function_space
+        mixed = self._forms.mixed
+        conditions = on_all(lambda: checked_conditions(V, bcs, mixed=mixed), V.mesh.comm)
+        self._system.prescribe(conditions)
 
     @property
     def condenses(self) -> bool:
@@ -149,41 +185,153 @@ class TornProblem:
     def linear_system(self) -> tuple[PETSc.Mat, PETSc.Vec]:
         """Assemble A and b of the next solve, or of its first Newton step. Collective.
 
-        A stays the problem's own, the caller destroys b: −r with the pressure condensed into it in
-        a Newton step.
+        Returns:
+            A, which the problem owns, and b, which the caller destroys: in a Newton step −r, with
+            the fields condensed into it.
         """
         b = self.A.createVecLeft()
-        b.array[:] = -self._assemble().equations
+        b.array[:] = -self._assemble_system().of_u
         return self.A, b
 
-    def _assemble(self) -> Residual:
-        """Assemble A, its near kernel, and the residual where the next solve begins."""
+    def _assemble_system(self) -> Residual:
+        """Assemble A and its near kernel; return the residual at the start of the next solve."""
         residual = self._system.residual()
         self._system.linearise(residual)
         return residual
 
-    def create_linear_solver(self) -> PETSc.KSP:
-        """Create another FETI solver of A, which the caller destroys, with the same options."""
-        return create_solver(self.A, self._prefix, self._petsc_options)
+    def reaction(self, facets: npt.ArrayLike, *, point: npt.ArrayLike | None = None) -> Reaction:
+        """Return force and moment that the surroundings exert on the body through a surface.
+
+        They sum the reactions of all supports on the surface, and the loads and springs of surface
+        integrals there, at the present state, with the problem's own quadrature. Over the whole
+        boundary they balance the body forces to the tolerance of the solve. An edge that two
+        clamped surfaces share counts for each of them: pass both at once for their sum.
+
+        Forces act at deformed positions if the unknown is a displacement in large deformation, and
+        else at reference positions. The deformation is taken for large if F contains a determinant
+        or an inverse of the deformation gradient.
+
+        Args:
+            facets: Facets of the surface on this process, owned ones and ghosts, such as
+                ``dolfinx.mesh.locate_entities_boundary`` returns, or ``tags.find(number)``.
+            point: Reference point of the moment, (d,); the origin if not given.
+
+        Raises:
+            ValueError: ``facets`` are not facet numbers of this mesh, or no process has one.
+
+        Note:
+            Collective; the result is the same on all processes.
+        """
+        balance = self._balance()
+        return reaction(
+            balance.residual,
+            balance.form,
+            self.unknown,
+            facets,
+            dirichlet=self._system.conditions.mask,
+            is_deformed=balance.is_deformed,
+            point=point,
+            compiler=self._compiler,
+        )
+
+    def _balance(self) -> Balance:
+        """Return the forces that reactions are computed from. Collective.
+
+        Each problem class defines it.
+        """
+        raise NotImplementedError
+
+    def create_linear_solver(
+        self, petsc_options: Mapping[str, object] | None = None, *, lifted: bool = False
+    ) -> PETSc.KSP:
+        """Create another FETI solver of A, which the caller destroys, with the same options.
+
+        Args:
+            petsc_options: Further options without prefix, which override the problem's own.
+            lifted: Whether its right-hand sides are lifted, as by dolfinx's ``apply_lifting`` and
+                ``set_bc``. If not, they are like those of :meth:`assemble_rhs`.
+        """
+        options = self._petsc_options | dict(petsc_options or {})
+        return create_solver(self.A, self._prefix, options, lifted=lifted)
+
+    def assemble_rhs(self, L: ufl.Form) -> PETSc.Vec:
+        """Assemble the right-hand side of another load for A and its solvers. Collective.
+
+        It holds the load on the free dofs, not lifted, and the prescribed values g on the Dirichlet
+        dofs; for a nonlinear problem g − u, as in a Newton step.
+
+        Args:
+            L: Linear form, tested in the space of the unknown.
+
+        Returns:
+            A vector like ``b``; the caller destroys it.
+
+        Raises:
+            ValueError: L is no such form.
+        """
+        system = self._system
+        V = self.unknown.function_space
+        require_form("L", L)
+        check_forms(V, L=(L, 1))
+        load = assemble_owned(self._compiler.form(L))
+        b = self.A.createVecLeft()
+        b.array[:] = system.conditions.free(load) - system.conditions.gap()
+        return b
 
     def diagnose(self) -> Diagnosis:
-        """Measure what FETI builds for the next linear system and what its time goes into.
+        """Measure FETI's parts for the next linear system, and its time. Collective.
 
-        It is assembled anew and solved once more, by another solver with the same options. PETSc's
-        logging is begun if it is not, for the times. ``print`` the diagnosis, or take its
-        ``records``. Collective.
+        The system is assembled anew and solved once more, by another solver with the same options.
+        PETSc's logging is begun, if necessary, for the times. ``print`` the diagnosis, or read its
+        ``records``.
         """
+        volumes = self.cell_volumes()
         return diagnose(
             self.linear_system,
             self.create_linear_solver,
-            state=0.0 if self._system.u is self.u else self.u.x.array[: self._system.owned],
+            state=self._present_x(),
             prefix=self._prefix,
-            known=self._known_advice,
+            known=[*self._advice_of_solves(), *self._advice_on_cells(volumes)],
+            volumes=volumes,
         )
 
+    def _present_x(self) -> Array | float:
+        """Return the x of the next linear system that is the present state, (owned,) or a number.
+
+        It is zero if x is an increment, as in Newton's method.
+        """
+        return 0.0
+
+    def cell_volumes(self) -> CellVolumes | None:
+        """Return the volume changes of the cells; None for a linear problem."""
+        return None
+
+    def _advice_of_solves(self) -> list[Advice]:
+        """Return advice from earlier solves."""
+        return []
+
+    def _advice_on_cells(self, volumes: CellVolumes | None) -> list[Advice]:
+        """Return advice on cells that are inside out or distorted."""
+        return []
+
     def __del__(self) -> None:
-        """Free the PETSc objects."""
+        """Destroy the PETSc objects, users of A before A itself."""
         for name in ("solver", "x", "b", "_system"):
-            owned = vars(self).get(name)  # __init__ may have raised
-            if owned is not None:
-                owned.destroy()
+            member = vars(self).get(name)  # __init__ may have raised
+            if member is not None:
+                member.destroy()
+
+
+def _warn_of_ignored_arguments(P: ufl.Form | None, kind: str | None, comm: MPI.Comm) -> None:
+    """Log arguments that dolfinx's classes have and that have no effect here. Collective."""
+    ignored = []
+    if P is not None:
+        ignored.append("P")
+    if kind is not None:
+        ignored.append("kind")
+    if ignored:
+        warn(
+            f"Without effect: {' and '.join(ignored)}. FETI has a preconditioner and a matrix "
+            "(MATIS) of its own; leave it out.",
+            comm,
+        )

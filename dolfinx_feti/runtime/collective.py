@@ -1,7 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What all processes do together: work that fails on all if on one, and warnings said once."""
+"""Collective work: an error on one process is an error on all; sums, gathered arrays, warnings.
+
+MPI waits forever for a process that left a collective call by an error. So work that may fail on
+one process runs inside of :func:`on_all` or :func:`on_root`, which exchange the errors, or, in an
+iteration, where that would cost a message, inside of :meth:`DeferredErrors.guard`.
+"""
 
 from __future__ import annotations
 
@@ -20,120 +25,159 @@ from dolfinx_feti.runtime.arrays import Array
 T = TypeVar("T")
 logger = logging.getLogger("dolfinx_feti")
 
-#: What :func:`deferred` has caught on this process.
-_caught: list[Exception] = []
 
+def on_root(work: Callable[[], T], comm: MPI.Comm) -> T:
+    """Do work on rank 0 and return its result on all processes. Collective.
 
-def on_first(work: Callable[[], T], comm: MPI.Comm) -> T:
-    """Do something on the first process; return its result, which can be pickled, on all.
+    Args:
+        work: Not collective; its result is pickled to be sent.
+        comm: The processes.
 
     Raises:
-        BaseException: What the work raises, on all processes.
-
-    Note:
-        Collective.
+        BaseException: The error of the work, on all processes.
     """
-    parcel = on_all(lambda: pickle.dumps(work()) if comm.rank == 0 else b"", comm)
-    return pickle.loads(comm.bcast(parcel, root=0))
+    pickled = on_all(lambda: pickle.dumps(work()) if comm.rank == 0 else b"", comm)
+    return pickle.loads(comm.bcast(pickled, root=0))
 
 
 def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
-    """Do something on all processes; if it fails on one of them, it has failed on all.
+    """Do work on each process; raise on all processes if it fails on one. Collective.
+
+    Args:
+        work: If it is collective itself, it has to fail before or after it waits for other
+            processes.
+        comm: The processes.
 
     Returns:
-        The process's own result.
+        The result of this process.
 
     Raises:
-        BaseException: What the work has raised, on all processes: where it has failed, its own
-            error; elsewhere that of the first process where it has.
-
-    Note:
-        Collective. Work that is collective itself has to fail before it waits for another process,
-        or after.
+        BaseException: On a process where the work failed, its own error; elsewhere that of the
+            first process where it failed, with a note that names the process.
     """
     result: Any = None
-    own: BaseException | None = None
+    own_error: BaseException | None = None
     try:
         result = work()
-    except BaseException as caught:  # Ctrl-C, too, ends work on all
-        own = caught
-    errors = comm.allgather(None if own is None else _portable(own))
-    first = next((rank for rank, error in enumerate(errors) if error is not None), None)
+    except BaseException as caught:  # KeyboardInterrupt, too, ends the work on all processes
+        own_error = caught
+    errors = comm.allgather(None if own_error is None else _picklable(own_error))
+    failed = [rank for rank, error in enumerate(errors) if error is not None]
     try:
-        if first is not None:
-            if own is None:
-                errors[first].add_note(f"Raised on process {first} of {comm.size}.")
-            raise own or errors[first]
+        if own_error is not None:
+            raise own_error
+        if failed:
+            errors[failed[0]].add_note(f"Raised on process {failed[0]} of {comm.size}.")
+            raise errors[failed[0]]
     finally:
-        del own, errors  # no cycle: all processes have to free PETSc's objects together
+        # The traceback refers to this frame. Without a cycle, PETSc objects that it refers to are
+        # freed at once, on all processes together.
+        del own_error, errors
     return result
 
 
-def deferred(work: Callable[[], Any], shape: int | tuple[int, ...]) -> Array:
-    """Do local work of an iteration, between two collective calls, with a result of this shape.
+class DeferredErrors:
+    """Errors of local work between two collective calls of an iteration, to be raised later.
 
-    Where it fails, the result is NaN, which the next sum over all processes hands to all of them,
-    and :func:`raise_deferred` raises its error.
+    An error that left the iteration on one process would let the others wait in their next
+    collective call. So :meth:`guard` returns NaN in place of the result. The next sum over all
+    processes spreads the NaN, the iteration ends on all of them, and :meth:`raise_first`, inside of
+    :func:`on_all`, raises the error.
     """
-    try:
-        return np.asarray(work())
-    except Exception as error:
-        _caught.append(error.with_traceback(None))  # it would hold frames
-        return np.full(shape, np.nan)
 
+    def __init__(self) -> None:
+        self._errors: list[Exception] = []
 
-def raise_deferred() -> None:
-    """Raise the first error that :func:`deferred` has caught on this process. Not collective."""
-    if _caught:
-        error = _caught[0]
-        _caught.clear()
+    def guard(self, work: Callable[[], Any], shape: int | tuple[int, ...]) -> Array:
+        """Return the result of local work; NaN if it fails.
+
+        Args:
+            work: Not collective. Any exception is caught, programming errors included, and raised
+                by the next :meth:`raise_first`.
+            shape: Shape of the result.
+        """
+        try:
+            return np.asarray(work())
+        except Exception as error:
+            self._errors.append(error.with_traceback(None))  # a traceback keeps frames alive
+            return np.full(shape, np.nan)
+
+    def raise_first(self) -> None:
+        """Raise the first error since the last call on this process and forget all. Not collective.
+
+        Raises:
+            Exception: The error, if there is one.
+        """
+        if not self._errors:
+            return
+        error = self._errors[0]
+        self.clear()
         try:
             raise error
         finally:
-            del error  # its traceback holds this frame
+            del error  # its traceback refers to this frame
+
+    def clear(self) -> None:
+        """Forget all errors."""
+        self._errors.clear()
 
 
-def _portable(error: BaseException) -> BaseException:
-    """Return an error that can be sent to other processes."""
+def _picklable(error: BaseException) -> BaseException:
+    """Return the error, or a RuntimeError with its message if it cannot be sent to others."""
     try:
         copy = pickle.loads(pickle.dumps(error))
-    except Exception:  # of a class that cannot be pickled or made again
+    except Exception:  # a class that cannot be pickled, or not be created from its arguments
         copy = None
-    return error if isinstance(copy, BaseException) else RuntimeError(reason(error))
+    return error if isinstance(copy, BaseException) else RuntimeError(error_message(error))
 
 
 def total(value: float, comm: MPI.Comm) -> float:
-    """Sum a number of each process, by a reduction of numbers and not of objects. Collective."""
+    """Return the sum of the numbers of all processes. Collective."""
     return float(total_of(np.array([value], dtype=np.float64), comm)[0])
 
 
 def total_of(values: Array, comm: MPI.Comm) -> Array:
-    """Sum arrays of one shape of all processes, entry by entry. Collective."""
+    """Return the sum of the arrays of all processes, entry by entry. Collective.
+
+    The arrays have the same shape.
+    """
     sum_ = np.array(values, dtype=np.float64, order="C")
     comm.Allreduce(MPI.IN_PLACE, sum_)
     return sum_
 
 
-def join(values: npt.ArrayLike, comm: MPI.Comm) -> npt.NDArray[Any]:
-    """Return the arrays of all processes, one after the other along the first axis. Collective."""
+def allgather_rows(values: npt.ArrayLike, comm: MPI.Comm) -> npt.NDArray[Any]:
+    """Return the arrays of all processes, concatenated along the first axis. Collective."""
     parts = [part for part in comm.allgather(np.asarray(values)) if len(part)]
     return np.concatenate(parts) if parts else np.asarray(values)
 
 
-def bounds(x: npt.NDArray[np.floating[Any]], comm: MPI.Comm) -> tuple[Array, Array]:
-    """Return the least and the greatest of the points of all processes, (d,) each. Collective."""
-    ends = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
-    low, high = np.swapaxes(np.asarray(comm.allgather(ends), dtype=np.float64), 0, 1)
-    return low.min(axis=0), high.max(axis=0)
+def bounding_box(
+    x: npt.NDArray[np.floating[Any]], comm: MPI.Comm
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return the lower and upper corner, (d,), of the points x, (n, d), of all processes.
+
+    Without any point the corners are infinity and minus infinity. Collective.
+    """
+    corners = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
+    lower, upper = np.swapaxes(np.asarray(comm.allgather(corners), dtype=np.float64), 0, 1)
+    return lower.min(axis=0), upper.max(axis=0)
 
 
-def reason(error: BaseException) -> str:
-    """Say what went wrong, in one line."""
+def error_message(error: BaseException) -> str:
+    """Return the message of an error in one line; its class if it has none."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     return " ".join(text.split()) or type(error).__name__
 
 
 def warn(text: str, comm: MPI.Comm) -> None:
-    """Log a warning, with the remedy, on the first process of those to whom it applies."""
+    """Log a warning on the first process of a communicator. Not collective."""
     if comm.rank == 0:
         logger.warning(text)
+
+
+#: Former name of :func:`on_root`, for programs that import it (docs/api.md).
+on_first = on_root
+
+#: Former name of :func:`error_message`; likewise.
+reason = error_message

@@ -1,12 +1,17 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Differences between dolfinx 0.9, 0.10 and 0.11 and their PETSc, in one place."""
+"""Versions: that of this package, and differences between dolfinx 0.9, 0.10 and 0.11.
+
+Each dolfinx comes with another version of PETSc. The rest of the package calls these functions
+instead of looking at versions.
+"""
 
 from __future__ import annotations
 
-import os
+import contextlib
 import sys
+from collections.abc import Iterator
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -18,92 +23,140 @@ import dolfinx
 
 from dolfinx_feti.runtime.arrays import Array, Indices, Integers
 
-#: One thread; methods whose result does not depend on the order of messages.
-SCOTCH = ("SCOTCH_PTHREAD_NUMBER", "SCOTCH_DETERMINISTIC")
-
 
 def adjacency(data: Integers, offsets: Indices | None = None) -> object:
-    """Create dolfinx's C++ adjacency list, which the Python function wraps from 0.10 on."""
+    """Return dolfinx's C++ adjacency list; from 0.10 on the Python function wraps it.
+
+    Args:
+        data: Links of all nodes, (links,).
+        offsets: Place of the first link of each node, (nodes + 1,); None for data of shape
+            (nodes, links of a node).
+    """
     links = dolfinx.graph.adjacencylist(data, offsets)
     return getattr(links, "_cpp_object", links)
 
 
 def create_function_space(
-    V: dolfinx.fem.FunctionSpace, table: Indices, n_blocks: int, block_size: int | None = None
+    V: dolfinx.fem.FunctionSpace,
+    blocks_of_cells: Indices,
+    n_blocks: int,
+    block_size: int | None = None,
 ) -> dolfinx.fem.FunctionSpace:
-    """Create a space of V's mesh and element with another dof map, on this process alone.
+    """Create a space with the mesh and element of V and another dof map, on this process alone.
 
-    The table has the dofs (blocks) of each cell, (n_cells, blocks per cell).
+    Args:
+        V: The space.
+        blocks_of_cells: Blocks of dofs of each cell, (n_cells, blocks per cell).
+        n_blocks: Number of blocks.
+        block_size: Dofs of a block; None for that of V.
     """
     bs = V.dofmap.bs if block_size is None else block_size
     index_map = dolfinx.cpp.common.IndexMap(MPI.COMM_SELF, n_blocks)
-    dofmap = dolfinx.cpp.fem.DofMap(V.dofmap.dof_layout, index_map, bs, adjacency(table), bs)
+    cells = adjacency(blocks_of_cells)
+    dofmap = dolfinx.cpp.fem.DofMap(V.dofmap.dof_layout, index_map, bs, cells, bs)
     arguments = [V.mesh._cpp_object, V._cpp_object.element, dofmap]
-    try:  # up to 0.9 the value shape is an argument
-        space = dolfinx.cpp.fem.FunctionSpace_float64(*arguments, V.value_shape)
-    except TypeError:
-        space = dolfinx.cpp.fem.FunctionSpace_float64(*arguments)
+    if not _is_dolfinx_at_least(0, 10):
+        arguments.append(V.value_shape)
+    space = dolfinx.cpp.fem.FunctionSpace_float64(*arguments)
     return dolfinx.fem.FunctionSpace(V.mesh, V.ufl_element(), space)
 
 
-def facet_graph(topology: dolfinx.mesh.Topology, n_cells: int) -> scipy.sparse.csr_array:
-    """Return the graph of the first cells that share a facet, (n_cells, n_cells).
+def create_submesh(
+    mesh: dolfinx.mesh.Mesh, dim: int, entities: Indices
+) -> tuple[dolfinx.mesh.Mesh, Indices]:
+    """Create a mesh of some entities of a mesh.
 
-    The facets themselves, of which a prism has two types, have a table each from 0.10 on.
+    Up to 0.9 dolfinx returns the entities as an array, from 0.10 on as an object.
+
+    Args:
+        mesh: The mesh.
+        dim: Dimension of the entities.
+        entities: Their local numbers.
+
+    Returns:
+        The new mesh, and the entity of each of its owned cells, (owned cells,).
+    """
+    submesh, parents, *_ = dolfinx.mesh.create_submesh(mesh, dim, entities)
+    cells = np.arange(submesh.topology.index_map(dim).size_local, dtype=np.int32)
+    if isinstance(parents, np.ndarray):
+        return submesh, parents[cells]
+    return submesh, np.asarray(parents.sub_topology_to_topology(cells, False))
+
+
+def facet_graph(topology: dolfinx.mesh.Topology, n_cells: int) -> scipy.sparse.csr_array:
+    """Return which of the first ``n_cells`` cells share a facet, (n_cells, n_cells).
+
+    It is computed from the vertices of cells. The table of facets would be several tables for cells
+    with facets of two types, such as prisms, from 0.10 on.
     """
     vertices = topology.connectivity(topology.dim, 0)
     cells = vertices.array[: vertices.offsets[n_cells]].astype(np.int64)
-    mesh = (MPI.COMM_SELF, [topology.cell_type], [cells])
-    try:  # from 0.10 on, with a bound on the cells at a facet
-        links = dolfinx.cpp.mesh.build_dual_graph(*mesh, None)
-    except TypeError:
-        links = dolfinx.cpp.mesh.build_dual_graph(*mesh)
-    ones, columns = np.ones(len(links.array), dtype=np.int8), links.array.astype(np.int32)
+    arguments = [MPI.COMM_SELF, [topology.cell_type], [cells]]
+    if _is_dolfinx_at_least(0, 10):
+        arguments.append(None)  # no bound on the number of cells at a facet
+    links = dolfinx.cpp.mesh.build_dual_graph(*arguments)
+    ones = np.ones(len(links.array), dtype=np.int8)
+    columns = links.array.astype(np.int32)
     graph = scipy.sparse.csr_array((ones, columns, links.offsets), shape=(n_cells, n_cells))
     graph.sort_indices()
     return graph
 
 
 def geometry_degree(mesh: dolfinx.mesh.Mesh) -> int:
-    """Return the degree of the geometry of the cells, 1 where edges are straight."""
+    """Return the polynomial degree of the geometry of the cells; 1 for straight edges."""
     geometry = mesh.geometry
     return int((geometry.cmaps[0] if hasattr(geometry, "cmaps") else geometry.cmap).degree)
 
 
 def geometry_dofmap(mesh: dolfinx.mesh.Mesh) -> Indices:
-    """Return the nodes of each cell, (n_cells, nodes per cell), those of the first cell type."""
+    """Return the nodes of each cell of the first cell type, (n_cells, nodes per cell)."""
     geometry = mesh.geometry
     return np.asarray(geometry.dofmaps[0] if hasattr(geometry, "dofmaps") else geometry.dofmap)
 
 
 def has_vertex_integrals() -> bool:
-    """Tell whether dolfinx assembles integrals over vertices: from 0.10 on."""
-    major, minor, *_ = dolfinx.__version__.split(".")  # type: ignore[attr-defined]
-    return (int(major), int(minor)) >= (0, 10)
+    """Return True if dolfinx assembles integrals over vertices, as from 0.10 on."""
+    return _is_dolfinx_at_least(0, 10)
 
 
 def interpolation_points(V: dolfinx.fem.FunctionSpace) -> Array:
-    """Return the element's interpolation points: a method up to 0.9, an attribute from 0.10 on."""
+    """Return the interpolation points of an element, (points, dim).
+
+    They are a method up to 0.9, an attribute from 0.10 on.
+    """
     points = V.element.interpolation_points
     return np.asarray(points() if callable(points) else points)
 
 
+@contextlib.contextmanager
+def petsc_errors_silenced() -> Iterator[None]:
+    """Context in which functions of PETSc return the code of an error and print nothing.
+
+    PETSc renamed the error handler between 3.22 and 3.25.
+    """
+    try:
+        PETSc.Sys.pushErrorHandler("return")
+    except ValueError:
+        PETSc.Sys.pushErrorHandler("ignore")
+    try:
+        yield
+    finally:
+        PETSc.Sys.popErrorHandler()
+
+
 def package_version() -> str:
-    """Return the version of dolfinx_feti, which is imported by then."""
+    """Return the version of dolfinx_feti, which is imported at the time of the call."""
     return str(sys.modules["dolfinx_feti"].__version__)
 
 
-def repeat_partitions() -> None:
-    """Let Scotch, with which dolfinx partitions, find the same parts in every run.
-
-    dolfinx seeds it; chance is left to its threads and messages. What the environment says stays.
-    """
-    for name in SCOTCH:
-        os.environ.setdefault(name, "1")
-
-
-def residual_is_nan() -> int:
-    """Return SNES's reason for a residual that is NaN or Inf; PETSc 3.25 renamed it."""
+def nan_residual_reason() -> int:
+    """Return SNES's converged reason for a residual that is NaN or Inf; PETSc 3.25 renamed it."""
     reasons = PETSc.SNES.ConvergedReason
     name = "DIVERGED_FNORM_NAN"
     return getattr(reasons, name if hasattr(reasons, name) else "DIVERGED_FUNCTION_NANORINF")
+
+
+def _is_dolfinx_at_least(major: int, minor: int) -> bool:
+    """Return True if dolfinx has this version or a later one."""
+    numbers = dolfinx.__version__.split(".")  # type: ignore[attr-defined]
+    return (int(numbers[0]), int(numbers[1])) >= (major, minor)

@@ -1,10 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The cost of a solver: the same measure of time and memory for all solvers.
+"""The cost of a solver, time and memory, measured in the same way for all solvers.
 
-Memory is the peak above what was in use before, when the matrix existed: all that a solver
-allocates counts, including what it frees again before it ends.
+Memory is the peak of a process above its memory before the solver was created, when the matrix
+existed. So temporary memory of the set-up counts, too.
 """
 
 from __future__ import annotations
@@ -21,7 +21,11 @@ from petsc4py import PETSc
 
 import numpy as np
 
+#: Folder of Linux's figures of this process (proc(5)).
 PROC = Path("/proc/self")
+
+#: Text that resets the peak of memory when written to ``clear_refs`` (proc(5)).
+RESET_PEAK = "5"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,11 +33,10 @@ class Cost:
     """The cost of one solve.
 
     Attributes:
-        seconds_setup: Time for the factors and everything else that needs no right-hand side, on
-            the slowest process.
-        seconds_solve: Time for the solution, likewise.
-        peak_mib: Peak memory above what was in use before, summed over all processes [MiB]; nan
-            where the system does not report it.
+        seconds_setup: Time to create and set up the solver on the slowest process [s].
+        seconds_solve: Time to solve for one right-hand side on the slowest process [s].
+        peak_mib: Peak memory above that before the solver was created, summed over all processes
+            [MiB]; NaN if the system does not report it.
         iterations: Krylov iterations.
         converged_reason: PETSc's reason, negative if it failed.
     """
@@ -49,31 +52,36 @@ class PeakMemory:
     """The peak memory of each process since this object was created, as Linux records it."""
 
     def __init__(self) -> None:
-        """Return free memory to the system and reset its peak."""
+        """Return freed memory to the system and reset the peak."""
         self._start = np.nan
         with contextlib.suppress(AttributeError):  # not the GNU C library
             ctypes.CDLL(None).malloc_trim(0)
         with contextlib.suppress(OSError):  # the peak cannot be reset
-            (PROC / "clear_refs").write_text("5")
-            self._start = _status("VmRSS")
+            (PROC / "clear_refs").write_text(RESET_PEAK)
+            self._start = _memory_figure("VmRSS")
 
     def mib(self, comm: MPI.Comm) -> float:
-        """Return the sum of all processes' peaks [MiB], nan if unknown. Collective.
+        """Return the sum of the peaks of all processes [MiB], NaN if unknown. Collective.
 
-        Where the peak cannot be reset, it is that of the whole run.
+        Where the peak could not be reset, it is that since the start of the process.
         """
-        return comm.allreduce(_status("VmHWM"))
+        return comm.allreduce(_memory_figure("VmHWM"))
 
     def mib_above_start(self, comm: MPI.Comm) -> float:
-        """Return the sum of the peaks above the first memory [MiB], nan if unknown. Collective."""
-        return comm.allreduce(max(_status("VmHWM") - self._start, 0.0))
+        """Return the sum of the peaks above the start [MiB], NaN if unknown. Collective."""
+        above = np.maximum(_memory_figure("VmHWM") - self._start, 0.0)  # NaN if one of them is
+        return comm.allreduce(float(above))
 
 
 def measure(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[Cost, PETSc.Vec]:
-    """Create a solver for a matrix that exists, set it up, solve for b, and destroy it. Collective.
+    """Create a solver, set it up, solve for b, and destroy it. Collective.
+
+    Args:
+        create: Creates the solver of a matrix that exists.
+        b: Right-hand side.
 
     Returns:
-        The cost and the solution, which belongs to the caller.
+        The cost, the same on all processes, and the solution, which the caller destroys.
     """
     x = b.duplicate()
     cost, ksp = timed_solve(create, b, x)
@@ -84,22 +92,20 @@ def measure(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[Cost, PETSc.
 def timed_solve(
     create: Callable[[], PETSc.KSP], b: PETSc.Vec, x: PETSc.Vec
 ) -> tuple[Cost, PETSc.KSP]:
-    """Create a solver, set it up and solve for b.
+    """Create a solver, set it up and solve for b. Collective.
 
     Args:
-        create: Creates the solver, or returns one that is to be set up anew.
+        create: Creates the solver, or returns one that has to be set up again.
         b: Right-hand side.
-        x: Takes the solution.
+        x: The solution is written to it.
 
     Returns:
-        The cost, the same on all processes, and the solver, which belongs to the caller.
-
-    Note:
-        Collective.
+        The cost, the same on all processes, and the solver, which the caller destroys.
     """
     comm = b.comm.tompi4py()
     comm.Barrier()
-    peak, started = PeakMemory(), time.perf_counter()
+    peak = PeakMemory()
+    started = time.perf_counter()
     ksp = create()
     ksp.setUp()
     set_up = time.perf_counter()
@@ -115,10 +121,13 @@ def timed_solve(
     return cost, ksp
 
 
-def _status(name: str) -> float:
-    """Return a memory figure of this process [MiB]; nan where the system does not report it."""
+def _memory_figure(name: str) -> float:
+    """Return a memory figure of this process, such as VmHWM, [MiB]; NaN if it is not reported."""
     try:
         lines = (PROC / "status").read_text().splitlines()
     except OSError:
         return np.nan
-    return next((float(s.split()[1]) / 2**10 for s in lines if s.startswith(name + ":")), np.nan)
+    for line in lines:
+        if line.startswith(name + ":"):
+            return float(line.split()[1]) / 2**10  # reported in KiB
+    return np.nan

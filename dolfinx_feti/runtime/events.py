@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Log events: the phases of the method as ``-log_view`` shows them."""
+"""PETSc log events: the phases of the method in the table of ``-log_view``."""
 
 from __future__ import annotations
 
@@ -10,10 +10,38 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
+#: All events of the package, in the order of a run (docs/petsc_options.md describes them).
+EVENTS = (
+    "WallRead",
+    "WallPartition",
+    "WallTags",
+    "WallFibres",
+    "FETITear",
+    "FETITangent",
+    "FETIPattern",
+    "FETIGluing",
+    "FETIFactor",
+    "FETISchur",
+    "FETIModes",
+    "FETICoarse",
+    "FETISolve",
+    "FETIRecycling",
+    "FETIIterations",
+    "FETISchurProduct",
+    "FETILocalSolve",
+    "FETICoarseSolve",
+)
+
 
 @contextmanager
 def event(name: str) -> Iterator[None]:
-    """Time a phase of the method under a name, such as ``FETIFactor``."""
+    """Context whose time is logged under a name of :data:`EVENTS`.
+
+    Raises:
+        ValueError: There is no event of this name.
+    """
+    if name not in EVENTS:
+        raise ValueError(f"{name} is no event of the package: add it to EVENTS")
     log = PETSc.Log.Event(name)
     log.begin()
     try:
@@ -23,5 +51,5 @@ def event(name: str) -> Iterator[None]:
 
 
 def seconds_of(names: Iterable[str]) -> list[float]:
-    """Return what PETSc's log has counted for each event on this process so far [s]."""
+    """Return the time of each event on this process so far [s], from PETSc's log."""
     return [float(PETSc.Log.Event(name).getPerfInfo()["time"]) for name in names]

@@ -1,12 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""C code of the package, compiled at first use and kept, as FFCx does with forms.
+"""C code of the package: compiled at first use, cached in a folder, loaded by cffi.
 
-``DOLFINX_FETI_CFLAGS`` has further flags for the C compiler, which FFCx uses, too. The cache is
-``$XDG_CACHE_HOME/dolfinx_feti`` (``~/.cache/dolfinx_feti`` without that variable), or a folder for
-this run where that cannot be written. Names change with the code, the flags, the processor if they
-ask for its kind, cffi and Python.
+FFCx treats the code that it generates for forms in the same way. Environment variables:
+
+- ``DOLFINX_FETI_CFLAGS``: further flags for the C compiler, which is that of FFCx (``CC``),
+- ``XDG_CACHE_HOME``: the cache is ``$XDG_CACHE_HOME/dolfinx_feti`` (``~/.cache/dolfinx_feti``
+  without that variable), or a folder for one run if that cannot be written.
+
+The name of a compiled file contains a hash of the code, the flags, and the versions of cffi and
+Python, so that a change of any of them compiles another file.
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ import sysconfig
 import tempfile
 import threading
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
@@ -38,41 +43,43 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cython_blas, cython_lapack
 
-from dolfinx_feti.runtime.collective import on_all, on_first, reason
+from dolfinx_feti.runtime.collective import error_message, on_all, on_root
 
-#: Machines of which the compiler knows ``-march=native``.
+#: Machines whose compilers know ``-march=native``.
 MACHINES = ("x86_64", "aarch64")
 
-#: Seconds of a compilation without a word.
-PATIENCE = 2.0
-
-#: Source, declarations, generated code, flags and cache, see :func:`load`.
-_Key = tuple[Path, str, str, tuple[str, ...], Path | None]
+#: Time after which a compilation is logged [s]: most files take less than one second, and a longer
+#: wait needs an explanation.
+ANNOUNCE_AFTER = 2.0
 
 logger = logging.getLogger("dolfinx_feti.compilation")
 
 #: Types of C, by those of arrays.
-_KINDS = {
+_C_TYPES = {
     np.dtype(np.float32): "float[]",
     np.dtype(np.float64): "double[]",
     np.dtype(np.int32): "int[]",
     np.dtype(np.int64): "int64_t[]",
 }
 
-#: Attribute of communicators: what all of their processes have loaded.
-_SEEN = MPI.Comm.Create_keyval()
 
-#: What this process has loaded.
-_loaded: dict[object, ModuleType] = {}
+@dataclass(frozen=True, slots=True)
+class _Unit:
+    """The arguments of :func:`load` that determine a compiled file, with all flags."""
+
+    source: Path
+    declarations: str
+    generated: str
+    flags: tuple[str, ...]
+    cache: Path | None
 
 
-def _temporary(folder: Path | None = None) -> tempfile.TemporaryDirectory[str]:
-    """Create a folder for a while; what others hold open in it may stay, as NFS has it."""
-    return tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True)
+#: Modules that this process has loaded, as ``sys.modules`` has those of Python.
+_loaded: dict[_Unit, ModuleType] = {}
 
-
-#: Cache of this run where the other one cannot be written.
-_scratch = functools.cache(_temporary)
+#: Key of an attribute of communicators: the set of units that :func:`load` has loaded with it. If a
+#: unit is in the set on one process, it is on all, as :func:`load` is collective.
+_LOADED_BY_ALL = MPI.Comm.Create_keyval()
 
 
 def load(
@@ -84,44 +91,60 @@ def load(
     flags: Sequence[str] = ("-O3",),
     cache: Path | None = None,
 ) -> Any:
-    """Compile a file, unless that is done, and load it.
+    """Load a C file, which is compiled unless the cache has it. Collective.
+
+    The first process compiles. Another process compiles, too, if it has no access to the file of
+    the first, as on nodes without a common file system. A second call with the same communicator
+    returns without communication.
 
     Args:
-        source: The file; files that it includes in quotes are beside it.
-        declarations: What of it is called and read, in C.
-        comm: Communicator of all processes that load it. The first one compiles; others do only
-            where they do not see its file.
-        generated: Code that takes the place of ``/* generated */`` in the file.
-        flags: For the compiler.
-        cache: Folder in the place of the package's own.
+        source: The file. Paths of its ``#include "…"`` are relative to its folder.
+        declarations: Declarations in C of the functions and types that Python uses.
+        comm: All processes that load it.
+        generated: Code that replaces ``/* generated */`` in the file.
+        flags: Flags for the compiler.
+        cache: Folder to use in place of the cache of the package.
 
     Returns:
-        The module, whose ``lib`` has the functions, and ``ffi`` the types.
+        The module of cffi: ``lib`` has the functions, ``ffi`` the types.
 
     Raises:
-        RuntimeError: It cannot be compiled or loaded, on all processes.
-
-    Note:
-        Collective. Code that has been loaded with a communicator is found without communication.
+        RuntimeError: It cannot be compiled, or the compiled file cannot be loaded; on all
+            processes.
     """
-    flags = (*flags, *shlex.split(os.environ.get("DOLFINX_FETI_CFLAGS", "")))
-    key = source, declarations, generated, flags, cache
-    seen: Any = comm.Get_attr(_SEEN)
-    if seen is None:
-        seen = set[object]()
-        comm.Set_attr(_SEEN, seen)
-    if key not in seen:
-        path = on_first(lambda: str(_module(key).__file__), comm)
-        on_all(lambda: _module(key, path), comm)
-        seen.add(key)
-    return _module(key)
+    all_flags = (*flags, *shlex.split(os.environ.get("DOLFINX_FETI_CFLAGS", "")))
+    unit = _Unit(source, declarations, generated, all_flags, cache)
+    loaded_by_all: Any = comm.Get_attr(_LOADED_BY_ALL)
+    if loaded_by_all is None:
+        loaded_by_all = set[_Unit]()
+        comm.Set_attr(_LOADED_BY_ALL, loaded_by_all)
+    if unit not in loaded_by_all:
+        path = on_root(lambda: str(_load_module(unit).__file__), comm)
+        on_all(lambda: _load_module(unit, path), comm)
+        loaded_by_all.add(unit)
+    return _load_module(unit)
+
+
+def load_with_header(source: Path, comm: MPI.Comm, *, flags: Sequence[str] = ("-O3",)) -> Any:
+    """Load a C file, like :func:`load`, whose declarations are in a header of the same name.
+
+    The header consists of declarations and comments only, without directives of the preprocessor.
+    Collective.
+    """
+    declarations = source.with_suffix(".h").read_text(encoding="utf-8")
+    return load(source, declarations, comm, flags=flags)
 
 
 @contextlib.contextmanager
 def announced(what: str, where: object) -> Iterator[None]:
-    """Log what is being compiled, and which folder keeps it, if that takes over two seconds."""
+    """Context of a compilation that logs it if it takes longer than :data:`ANNOUNCE_AFTER`.
+
+    Args:
+        what: Name of the file that is compiled.
+        where: Folder that caches the result.
+    """
     message = f"compiling {what}, which is kept for later runs in {where}"
-    timer = threading.Timer(PATIENCE, logger.warning, [message])
+    timer = threading.Timer(ANNOUNCE_AFTER, logger.warning, [message])
     timer.daemon = True
     timer.start()
     try:
@@ -131,10 +154,13 @@ def announced(what: str, where: object) -> Iterator[None]:
 
 
 def processor_flags() -> list[str]:
-    """Return flags for code that runs on processors of this kind only; none where it is not known.
+    """Return compiler flags for the kind of processor of this process.
 
-    One of them names the processor, so that the names of the code do: several kinds of machines may
-    share a cache.
+    One of the flags is a hash of the kind of processor. It has no effect on the code, but makes the
+    names of the compiled files differ, so that machines of several kinds may share a cache.
+
+    Returns:
+        The flags; none if the kind of processor is not known.
     """
     try:
         first = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n", maxsplit=1)[0]
@@ -142,28 +168,38 @@ def processor_flags() -> list[str]:
         return []
     if platform.machine() not in MACHINES:
         return []
-    known = re.findall("^(?:model|CPU|flags|Feat).*", first, flags=re.MULTILINE)
-    return ["-march=native", f"-DPROCESSOR_{_hash(known)[:8]}"]
+    description = re.findall("^(?:model|CPU|flags|Feat).*", first, flags=re.MULTILINE)
+    return ["-march=native", f"-DPROCESSOR_{_hash(description)[:8]}"]
 
 
 def pointer(module: Any, array: npt.NDArray[Any], *, order: str = "C") -> Any:
-    """Return a C pointer, of a loaded module, to the entries of an array, which outlives it.
+    """Return a C pointer to the entries of an array.
+
+    The pointer keeps the array alive. A struct of C that contains the address does not: its creator
+    refers to the array until C has used the struct for the last time.
+
+    Args:
+        module: The loaded module that uses the pointer.
+        array: Numbers of type float32, float64, int32 or int64.
+        order: "C" for entries row by row, "F" for column by column.
 
     Raises:
-        ValueError: The entries are not consecutive by rows (C) or by columns (F), or not of
-            float32, float64, int32 or int64.
+        ValueError: The entries are not contiguous in this order, or of another type.
     """
     by_rows = array if order == "C" else array.T
     if not by_rows.flags.c_contiguous:
         raise ValueError(f"array of shape {array.shape} is not contiguous in {order} order")
-    kind = _KINDS.get(array.dtype)
-    if kind is None:
+    c_type = _C_TYPES.get(array.dtype)
+    if c_type is None:
         raise ValueError(f"array of {array.dtype}: give float32, float64, int32 or int64")
-    return module.ffi.from_buffer(kind, by_rows)
+    return module.ffi.from_buffer(c_type, by_rows)
 
 
 def address_of(name: str) -> int:
-    """Return where a function of BLAS or LAPACK is, such as ``dsyrk``, with 32-bit integers."""
+    """Return the address of a function of BLAS or LAPACK with 32-bit integers, such as ``dsyrk``.
+
+    SciPy exports these functions to Cython as capsules.
+    """
     library = cython_blas if name in cython_blas.__pyx_capi__ else cython_lapack
     capsule = library.__pyx_capi__[name]
     api = ctypes.pythonapi
@@ -175,59 +211,105 @@ def address_of(name: str) -> int:
 
 
 def _hash(texts: Iterable[str]) -> str:
+    """Return a hash of several texts as hexadecimal digits."""
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
-def _module(key: _Key, path: str = "") -> ModuleType:
-    """Load what was compiled to a path, or compile it, unless that is done; see :func:`load`."""
-    if key in _loaded:
-        return _loaded[key]
-    source, declarations, generated, flags, cache = key
+def _load_module(unit: _Unit, path: str = "") -> ModuleType:
+    """Return the module of a unit on this process; load or compile it if necessary.
+
+    Args:
+        unit: What to load.
+        path: File that the first process has compiled; ignored if this process has no access to it.
+
+    Raises:
+        RuntimeError: It cannot be compiled, or the compiled file cannot be loaded.
+    """
+    if unit in _loaded:
+        return _loaded[unit]
+    text = _text(unit.source, unit.generated)
+    suffix = str(sysconfig.get_config_var("EXT_SUFFIX"))
+    key = _hash([text, unit.declarations, *unit.flags, version("cffi"), suffix])[:16]
+    name = f"{unit.source.stem}_{key}"
+    if not Path(path).is_file():
+        try:
+            path = str(_compiled(name + suffix, text, unit))
+        except (cffi.VerificationError, ImportError, OSError) as error:
+            raise RuntimeError(
+                f"{unit.source.name} cannot be compiled ({error_message(error)}): check the C "
+                "compiler, which FFCx needs, too (variable CC), and that the cache can be written "
+                "(variable XDG_CACHE_HOME)."
+            ) from error
     try:
-        text, suffix = _text(source, generated), str(sysconfig.get_config_var("EXT_SUFFIX"))
-        known_by = _hash([text, declarations, *flags, version("cffi"), suffix])[:16]
-        name = f"{source.stem}_{known_by}"
-        if not Path(path).is_file():
-            path = str(_compiled(name + suffix, text, declarations, flags, cache))
-        spec = importlib.util.spec_from_file_location(name, path)
-        assert spec is not None and spec.loader is not None, path
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    except Exception as error:
+        module = _import_file(name, path)
+    except ImportError as error:
         raise RuntimeError(
-            f"{source.name} cannot be compiled ({reason(error)}): check the C compiler, which FFCx "
-            "needs, too (variable CC), and that the cache can be written (variable XDG_CACHE_HOME)."
+            f"{path}, compiled from {unit.source.name}, cannot be loaded "
+            f"({error_message(error)}): delete it, so that it is compiled again."
         ) from error
-    return _loaded.setdefault(key, module)
+    return _loaded.setdefault(unit, module)
+
+
+def _import_file(name: str, path: str) -> ModuleType:
+    """Import a compiled file as the module of this name.
+
+    Raises:
+        ImportError: It cannot be imported.
+    """
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{path} is not an extension module")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _text(source: Path, generated: str) -> str:
-    """Return a file with the generated code and the files that it includes."""
+    """Return the text of a C file, with the generated code and the files that it includes."""
     text = source.read_text(encoding="utf-8").replace("/* generated */", generated)
     for header in re.findall(r'^#include "(.*)"$', text, flags=re.MULTILINE):
-        own = source.with_name(header).read_text(encoding="utf-8")
-        text = text.replace(f'#include "{header}"', own)
+        included = (source.parent / header).read_text(encoding="utf-8")
+        text = text.replace(f'#include "{header}"', included)
     return text
 
 
-def _compiled(
-    file: str, text: str, declarations: str, flags: Sequence[str], cache: Path | None
-) -> Path:
-    """Return the compiled file; others may be making the same one at the same time."""
-    own = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "dolfinx_feti"
-    folder = cache or own
+def _compiled(file: str, text: str, unit: _Unit) -> Path:
+    """Compile a file, unless it is in the cache, and return its path.
+
+    Several processes may compile the same file at once. Each compiles in a temporary folder, and
+    moves the result into the cache, which is atomic.
+
+    Args:
+        file: Name of the compiled file.
+        text: Code.
+        unit: What else determines it.
+    """
+    home = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    folder = unit.cache or home / "dolfinx_feti"
     if (folder / file).exists():
         return folder / file
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        work = _temporary(folder)
+        work = _temporary_folder(folder)
     except OSError as error:
-        logger.info(f"compiled code is not kept: {reason(error)}")
-        folder = Path(_scratch().name)
-        work = _temporary(folder)
-    name, builder = file.partition(".")[0], cffi.FFI()
-    builder.cdef(declarations)
-    builder.set_source(name, text, extra_compile_args=list(flags))
+        logger.info(f"compiled code is not kept: {error_message(error)}")
+        folder = Path(_folder_of_run().name)
+        work = _temporary_folder(folder)
+    name = file.partition(".")[0]
+    builder = cffi.FFI()
+    builder.cdef(unit.declarations)
+    builder.set_source(name, text, extra_compile_args=list(unit.flags))
     what = name.rpartition("_")[0] + ".c"
     with work, contextlib.redirect_stdout(io.StringIO()), announced(what, folder):
         return Path(builder.compile(tmpdir=work.name)).replace(folder / file)
+
+
+def _temporary_folder(parent: Path | None = None) -> tempfile.TemporaryDirectory[str]:
+    """Create a temporary folder. On NFS, files that are open elsewhere may remain after it."""
+    return tempfile.TemporaryDirectory(dir=parent, ignore_cleanup_errors=True)
+
+
+@functools.cache
+def _folder_of_run() -> tempfile.TemporaryDirectory[str]:
+    """Return the folder of compiled files of this run, used if the cache cannot be written."""
+    return _temporary_folder()

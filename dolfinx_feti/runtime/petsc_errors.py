@@ -1,11 +1,22 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The error of Python's behind one of PETSc's, where PETSc has called Python.
+"""Errors of Python that pass through PETSc: the original error is raised, not PETSc's code.
 
-From Python 3.12 on, the cyclic garbage collector may run inside petsc4py's error handler, while the
-error is pending. The error is lost then, and petsc4py reads a null pointer. So the collector pauses
-until the error has left PETSc.
+From Python 3.12 on, the cyclic garbage collector may run inside of petsc4py's error handler while
+an error is pending. The error is lost then, and petsc4py reads a null pointer. So the collector is
+paused while C code runs that may call Python, and resumed in the Python code that C calls::
+
+    with python_errors(snes):                       paused
+        snes.solve(None, x)                         C
+            with garbage_collection_resumed(snes):  runs, in Newton.solve
+                with python_errors(ksp):            paused
+                    ksp.solve(b, x)                 C
+                        with garbage_collection_resumed(ksp):   runs, in FETI.solve
+                with python_errors():               paused
+                    snes.monitor(…)                 C, calls a monitor of the user
+
+So the collector is paused while an error passes from Python code through C to Python code.
 """
 
 from __future__ import annotations
@@ -16,12 +27,25 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
+#: Name of an attribute of a PETSc solver: whether a call of the solver paused the collector.
+PAUSED = "dolfinx_feti_collector_paused"
+
 
 @contextmanager
-def python_errors() -> Iterator[None]:
-    """Raise the error of Python's that made a call of PETSc's fail, and not PETSc's own."""
+def python_errors(solver: PETSc.Object | None = None) -> Iterator[None]:
+    """Context for a call of PETSc: raises the error of Python that made it fail.
+
+    The garbage collector is paused inside of it.
+
+    Args:
+        solver: The solver that is called, if its context is Python code that uses
+            :func:`garbage_collection_resumed`; None if PETSc calls only Python code that creates
+            little garbage, such as a monitor.
+    """
     collects = gc.isenabled()
     gc.disable()
+    if solver is not None:
+        solver.setAttr(PAUSED, collects)
     try:
         yield
     except PETSc.Error as error:
@@ -32,5 +56,29 @@ def python_errors() -> Iterator[None]:
             raise
         raise cause from None
     finally:
+        if solver is not None:
+            solver.setAttr(PAUSED, False)
         if collects:
             gc.enable()
+
+
+@contextmanager
+def garbage_collection_resumed(solver: PETSc.Object) -> Iterator[None]:
+    """Context in which the collector runs, for Python code that a solver calls.
+
+    It does nothing unless ``python_errors`` paused the collector: a user may have disabled it.
+
+    Args:
+        solver: The solver, which was passed to :func:`python_errors`.
+    """
+    paused = bool(solver.getAttr(PAUSED))
+    if not paused:
+        yield
+        return
+    solver.setAttr(PAUSED, False)  # a context inside of this one does nothing
+    gc.enable()
+    try:
+        yield
+    finally:
+        gc.disable()
+        solver.setAttr(PAUSED, True)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Functions of PETSc, and of what it is linked with, that petsc4py does not wrap; products."""
+"""Functions of PETSc, and of libraries that it is linked with, that petsc4py does not wrap."""
 
 from __future__ import annotations
 
@@ -17,19 +17,26 @@ import numpy as np
 
 from dolfinx_feti.runtime.arrays import Array, Indices
 
-_Handle, _Pointer, _Number = ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int
-_Numbers, _Doubles = ctypes.POINTER(ctypes.c_int), ctypes.POINTER(ctypes.c_double)
-_ROWS = (_Handle, *[_Number] * 3, *[_Pointer] * 4)
-_ACCESS = (
-    ("MatGetRowIJ", _ROWS),
-    ("MatRestoreRowIJ", _ROWS),
-    ("MatSeqAIJGetArrayRead", (_Handle, _Pointer)),
-    ("MatSeqAIJRestoreArrayRead", (_Handle, _Pointer)),
-)
+_Handle = ctypes.c_void_p
+_Pointer = ctypes.c_void_p
+_Int = ctypes.c_int
+
+#: Arguments of MatGetRowIJ and MatRestoreRowIJ: matrix, shift, symmetric, compressed, and addresses
+#: of four results.
+_ROW_IJ_ARGUMENTS = (_Handle, _Int, _Int, _Int, _Pointer, _Pointer, _Pointer, _Pointer)
+
+#: Arguments of MatSeqAIJGetArrayRead and MatSeqAIJRestoreArrayRead: matrix, address of a result.
+_ARRAY_ARGUMENTS = (_Handle, _Pointer)
 
 
 class Rows(NamedTuple):
-    """A sparse matrix row by row: where each begins, (n + 1,), columns and values of entries."""
+    """A sparse matrix by compressed rows.
+
+    Attributes:
+        indptr: Place of the first entry of each row, (n + 1,).
+        indices: Column of each entry, (entries,).
+        values: The entries, (entries,).
+    """
 
     indptr: Indices
     indices: Indices
@@ -37,81 +44,149 @@ class Rows(NamedTuple):
 
 
 @functools.cache
-def function(name: str, arguments: tuple[Any, ...]) -> Any:
-    """Look up a function that returns a code in what petsc4py has loaded; None if there is none.
+def c_function(name: str, arguments: tuple[Any, ...]) -> Any:
+    """Return a C function from the libraries that petsc4py has loaded.
 
-    Its arguments have these types, of ctypes.
+    Args:
+        name: Name of the function, which returns an error code.
+        arguments: Types of its arguments, of ctypes.
+
+    Returns:
+        The function; None if the libraries lack it.
     """
     try:
         symbol = getattr(ctypes.CDLL(PETSc.__file__), name)
     except (AttributeError, OSError):
         return None
-    symbol.argtypes, symbol.restype = list(arguments), ctypes.c_int
+    symbol.argtypes = list(arguments)
+    symbol.restype = ctypes.c_int
     return symbol
 
 
+class _RowAccess(NamedTuple):
+    """Functions of PETSc that give access to the arrays of a SeqAIJ matrix, and end it."""
+
+    get_rows: Any
+    restore_rows: Any
+    get_values: Any
+    restore_values: Any
+
+
+def _row_access() -> _RowAccess | None:
+    """Return PETSc's functions for the arrays of a matrix; None if PETSc lacks one."""
+    access = _RowAccess(
+        c_function("MatGetRowIJ", _ROW_IJ_ARGUMENTS),
+        c_function("MatRestoreRowIJ", _ROW_IJ_ARGUMENTS),
+        c_function("MatSeqAIJGetArrayRead", _ARRAY_ARGUMENTS),
+        c_function("MatSeqAIJRestoreArrayRead", _ARRAY_ARGUMENTS),
+    )
+    return None if None in access else access
+
+
 def reads_in_place() -> bool:
-    """Tell whether :func:`rows_of` yields a matrix's own arrays, and not copies."""
-    available = all(function(*each) for each in _ACCESS)
-    return available and PETSc.IntType().itemsize == 4
+    """Return True if :func:`rows_of` yields the arrays of the matrix itself, not copies."""
+    return _row_access() is not None and PETSc.IntType().itemsize == 4
 
 
 @contextmanager
 def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
-    """Yield the arrays of a sequential AIJ matrix, its own if :func:`reads_in_place`.
+    """Context with the arrays of a sequential AIJ matrix.
+
+    They are read-only views into the matrix, valid inside of the context, or copies if PETSc has
+    no views or no 32-bit indices (:func:`reads_in_place`).
 
     Raises:
         RuntimeError: The matrix is not SeqAIJ.
     """
-    n = K.getSize()[0]
-    if n == 0 or not reads_in_place():
+    access = _row_access()
+    if K.getSize()[0] == 0 or access is None or not reads_in_place():
         indptr, indices, values = K.getValuesCSR()
         yield Rows(indptr.astype(np.int32), indices.astype(np.int32), values)
         return
-    rows, restore_rows, array, restore_array = (function(*each) for each in _ACCESS)
-    size, done = ctypes.c_int(), ctypes.c_int()
-    i, j, a = _Numbers(), _Numbers(), _Doubles()
-    pattern = (K.handle, 0, 0, 0, *map(ctypes.byref, (size, i, j, done)))
-    if rows(*pattern) or not done.value or array(K.handle, ctypes.byref(a)):
-        raise RuntimeError("PETSc does not hand out the rows of a matrix; it has to be SeqAIJ")
+    with _row_views(K, access) as rows:
+        yield rows
+
+
+@contextmanager
+def _row_views(K: PETSc.Mat, access: _RowAccess) -> Iterator[Rows]:
+    """Context with read-only views into a SeqAIJ matrix of at least one row."""
+    n = ctypes.c_int()
+    is_done = ctypes.c_int()
+    indptr_address = ctypes.POINTER(ctypes.c_int)()
+    indices_address = ctypes.POINTER(ctypes.c_int)()
+    values_address = ctypes.POINTER(ctypes.c_double)()
+    results = map(ctypes.byref, (n, indptr_address, indices_address, is_done))
+    arguments = (K.handle, 0, 0, 0, *results)  # no shift, not symmetrised, not by inodes
+    if access.get_rows(*arguments) or not is_done.value:
+        raise _not_seqaij(K)
     try:
-        indptr = np.ctypeslib.as_array(i, (n + 1,))
-        if indptr[-1] == 0:
-            yield Rows(indptr, np.zeros(0, dtype=np.int32), np.zeros(0))
-        else:
-            shape = (int(indptr[-1]),)
-            yield Rows(indptr, np.ctypeslib.as_array(j, shape), np.ctypeslib.as_array(a, shape))
+        if access.get_values(K.handle, ctypes.byref(values_address)):
+            raise _not_seqaij(K)
+        try:
+            indptr: Indices = np.ctypeslib.as_array(indptr_address, (n.value + 1,))
+            indices: Indices = np.zeros(0, dtype=np.int32)
+            values: Array = np.zeros(0)
+            entries = int(indptr[-1])
+            if entries:  # otherwise the addresses may be null
+                indices = np.ctypeslib.as_array(indices_address, (entries,))
+                values = np.ctypeslib.as_array(values_address, (entries,))
+            for array in (indptr, indices, values):
+                array.flags.writeable = False
+            yield Rows(indptr, indices, values)
+        finally:
+            access.restore_values(K.handle, ctypes.byref(values_address))
     finally:
-        restore_array(K.handle, ctypes.byref(a))
-        restore_rows(*pattern)
+        access.restore_rows(*arguments)
+
+
+def _not_seqaij(K: PETSc.Mat) -> RuntimeError:
+    """Return the error of a matrix whose arrays PETSc does not give access to."""
+    return RuntimeError(f"rows can be read only from a SeqAIJ matrix, and this is {K.getType()}")
 
 
 def product(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:
-    """Return K x, or Kᵀ x, for a sequential matrix and a vector, (n,), or columns, (n, r)."""
+    """Return the product of a sequential matrix.
+
+    Args:
+        K: The matrix, (m, n).
+        x: One vector, (n,), or several columns, (n, r).
+        transpose: Multiply with the transpose, for x of m rows.
+
+    Returns:
+        K x, (m,) or (m, r); or Kᵀ x, (n,) or (n, r).
+    """
     y = np.zeros((K.getSize()[1 if transpose else 0], *x.shape[1:]))
     if not y.size:
         return y
     if y.ndim == 1:
-        both = np.ascontiguousarray(x), y
-        pair = [PETSc.Vec().createWithArray(a, comm=PETSc.COMM_SELF) for a in both]
-        (K.multTranspose if transpose else K.mult)(*pair)
-    else:
-        X = PETSc.Mat().createDense(x.shape, array=np.asfortranarray(x), comm=PETSc.COMM_SELF)
-        X.assemble()
-        pair = [X, K.transposeMatMult(X) if transpose else K.matMult(X)]
-        y = pair[1].getDenseArray().copy()
-    for owned in pair:
-        owned.destroy()
+        x_vec = PETSc.Vec().createWithArray(np.ascontiguousarray(x), comm=PETSc.COMM_SELF)
+        y_vec = PETSc.Vec().createWithArray(y, comm=PETSc.COMM_SELF)
+        if transpose:
+            K.multTranspose(x_vec, y_vec)
+        else:
+            K.mult(x_vec, y_vec)
+        x_vec.destroy()
+        y_vec.destroy()
+        return y
+    X = PETSc.Mat().createDense(x.shape, array=np.asfortranarray(x), comm=PETSc.COMM_SELF)
+    X.assemble()
+    Y = K.transposeMatMult(X) if transpose else K.matMult(X)
+    y = Y.getDenseArray().copy()
+    X.destroy()
+    Y.destroy()
     return y
 
 
 def pattern_state(K: PETSc.Mat) -> tuple[int, ...]:
-    """Return what changes with the pattern of a matrix.
+    """Return numbers that change with the pattern of a sequential matrix.
 
-    That is, how often it has changed, the number of entries and, of SeqAIJ, where PETSc keeps them.
+    If two results are equal, the pattern is the same; its entries are not compared. The numbers are
+    PETSc's count of changes, the number of entries and, for SeqAIJ, the addresses of the arrays,
+    which change if another matrix takes the place of K.
     """
-    count, entries = ctypes.c_int64(), int(K.getInfo()["nz_used"])
-    changes = function("MatGetNonzeroState", (_Handle, _Pointer))
+    count = ctypes.c_int64()
+    entries = int(K.getInfo()["nz_used"])
+    changes = c_function("MatGetNonzeroState", (_Handle, _Pointer))
     if changes is not None:
         changes(K.handle, ctypes.byref(count))
     if not K.getType().startswith("seqaij") or K.getSize()[0] == 0 or not reads_in_place():

@@ -1,9 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Scalar unknowns beside u: their equations, cavities with a volume, Windkessels, mean values.
+"""Scalar unknowns coupled to u: equations, cavities with a volume, Windkessels, mean values.
 
-In the order of the data: equations, border, arc_length, cavity, windkessel, couplings.
+In this room m is the number of scalars, and N the number of dofs that a process owns. A *coupling*
+is a kind of scalars: its unknowns, their equations, and what a step of a path changes in them. A
+problem has its couplings in ``scalars=``.
+``equations`` to ``system`` are the machinery, the other files are kinds of scalars.
+
+In the order of the data: equations, border, springs, bordered, system, arc_length, cavity,
+windkessel, couplings.
 """
 
 from dolfinx_feti.scalars.arc_length import ArcLength

@@ -1,15 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Arc length: the load as an unknown, so that a path leads over limit points.
+r"""Arc length: the load as an unknown, for paths over limit points.
 
 .. math:: \tfrac12 \Bigl[ \frac{ψ^2}{|Ω|} \int_Ω t_u · (u - u_n)\, \mathrm dX
           + t_λ\, (λ - λ_n) \Bigr] = Δs
 
 with the last equilibrium (u_n, λ_n) and the direction t of the secant through the last two, of
-length one in the norm :math:`\|(u, λ)\|^2 = ½ (ψ^2 \int |u|^2 / |Ω| + λ^2)` (Keller 1977). The
-first step is one of the load, λ − λ_n = Δs, after which ψ, a load per length, gives both terms the
-same weight: s has the unit of the load.
+length one in the norm :math:`\|(u, λ)\|^2 = ½ (ψ^2 \int |u|^2 / |Ω| + λ^2)` (Keller, Numerical
+solution of bifurcation and nonlinear eigenvalue problems, 1977). The first step is one of the load,
+λ − λ_n = Δs. It determines ψ, a load per length, such that both terms have the same weight. s has
+the unit of the load.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ __all__ = ["ArcLength"]
 
 
 class ArcLength(Coupling):
-    """The condition that makes a load unknown, for ``follow_load`` along the arc.
+    """Equation of the arc's length for an unknown load, for ``follow_load``.
 
     Example::
 
@@ -36,41 +37,46 @@ class ArcLength(Coupling):
 
     Attributes:
         load: λ, a constant in the residual.
-        functions: u_n and t_u; λ_n, t_λ, ψ² and Δs are a Constant in the equation.
+        functions: u_n and t_u. (λ_n, t_λ, ψ², Δs) is a Constant of the equation.
     """
 
     def __init__(self, u: dolfinx.fem.Function, load: dolfinx.fem.Constant) -> None:
-        """Begin at the present state, which is to be an equilibrium. Collective.
+        """Create an arc from the present state, an equilibrium. Collective.
 
         Args:
             u: The unknown.
             load: λ, a scalar constant in the residual.
 
         Raises:
-            ValueError: The load is no scalar constant, or not finite.
+            ValueError: The load is no scalar constant, or is not finite.
         """
         if not isinstance(load, dolfinx.fem.Constant) or load.ufl_shape:
             raise ValueError(f"load is {load!r}: give the scalar Constant that is in the forms.")
         require_finite(load=float(load.value))
-        V, mesh = u.function_space, u.function_space.mesh
-        self.load, self._u = load, u
-        self._last, self._secant = self.functions = dolfinx.fem.Function(V), dolfinx.fem.Function(V)
+        V = u.function_space
+        mesh = u.function_space.mesh
+        self.load = load
+        self._u = u
+        self._last = dolfinx.fem.Function(V)
+        self._secant = dolfinx.fem.Function(V)
+        self.functions = (self._last, self._secant)
         self._last.x.array[:] = u.x.array
-        # λ_n, t_λ, ψ², Δs
+        # (λ_n, t_λ, ψ², Δs). With t_λ = 2 and ψ = 0 the first step has the equation λ − λ_n = Δs.
         self._path = dolfinx.fem.Constant(mesh, np.array([float(load.value), 2.0, 0.0, 0.0]))
         dx = ufl.Measure("dx", mesh)
         one = dolfinx.fem.form(dolfinx.fem.Constant(mesh, np.float64(1.0)) * dx)
         self._comm = mesh.comm
-        self._dx, self._size = dx, self._comm.allreduce(dolfinx.fem.assemble_scalar(one))
+        self._dx = dx
+        self._size = self._comm.allreduce(dolfinx.fem.assemble_scalar(one))  # |Ω|
         moved = u - self._last
         self._moved = dolfinx.fem.form(ufl.inner(moved, moved) / self._size * dx)
 
     def begin(self, ds: float) -> None:
         """Prepare a step of the length Δs."""
-        self._path.value[3] = ds
+        self._path.value[3] = ds  # of (λ_n, t_λ, ψ², Δs)
 
     def accept(self) -> None:
-        """Let the present state be the last one. Collective."""
+        """Store the present state as the last one, and the secant to it. Collective."""
         last, _, ψ2, ds = self._path.value
         squares = self._comm.allreduce(dolfinx.fem.assemble_scalar(self._moved))
         step = float(self.load.value) - last
@@ -78,14 +84,18 @@ class ArcLength(Coupling):
             ψ2 = step**2 / squares
         norm = np.sqrt((ψ2 * squares + step**2) / 2.0)
         if norm > 0.0:
-            sign = np.sign(ds) or 1.0
+            sign = np.sign(ds) or 1.0  # t points to larger s, also after a step back
             self._secant.x.array[:] = sign * (self._u.x.array - self._last.x.array) / norm
             self._path.value = [float(self.load.value), sign * step / norm, ψ2, ds]
         self._last.x.array[:] = self._u.x.array
 
     @property
     def equation(self) -> ScalarEquation:
-        """The arc's length, for the load."""
+        """The equation of the arc's length, with λ as unknown.
+
+        All of its terms are means over the body, those without u as well, because an equation is a
+        sum of integrals.
+        """
         last, t, ψ2, ds = (self._path[i] for i in range(4))
         along = ψ2 * ufl.inner(self._secant, self._u - self._last) + t * (self.load - last)
         return ScalarEquation(self.load, ((along / 2.0 - ds) / self._size * self._dx,))

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The couplings of a problem, checked against each other and its conditions, or those of a case."""
+"""Checks of the couplings of a problem, and the couplings of a case file."""
 
 from __future__ import annotations
 
@@ -19,18 +19,27 @@ from dolfinx_feti.scalars.windkessel import Windkessel
 from dolfinx_feti.wall.casefile import Filling
 from dolfinx_feti.wall.wall import AXES, Wall, surface_measure
 
-__all__ = ["checked_couplings", "create_cavities", "refuse_condensed_fields", "works"]
+__all__ = ["check_couplings", "coupling_works", "create_cavities", "refuse_condensed_fields"]
 
 
-def checked_couplings(
+def check_couplings(
     scalars: Sequence[Coupling],
     bcs: Sequence[dolfinx.fem.DirichletBC],
     V: dolfinx.fem.FunctionSpace,
 ) -> tuple[Coupling, ...]:
-    """Return the couplings of a problem for an unknown in V, after what can be checked at once.
+    """Check the couplings of a problem, with its conditions and among each other. Collective.
 
-    None of them may act elsewhere or be without solution, no two cavities share facets. Collective;
-    raises on all processes.
+    Args:
+        scalars: The couplings.
+        bcs: Dirichlet conditions of the problem.
+        V: Space of its unknown.
+
+    Returns:
+        The couplings.
+
+    Raises:
+        ValueError: One of them is no coupling, acts on another space, or has no solution, or two
+            cavities share facets. On all processes.
     """
     if not isinstance(scalars, Sequence):
         raise ValueError(f"scalars is {scalars!r} alone: put it in a list.")
@@ -58,19 +67,32 @@ def refuse_condensed_fields(
     fields: Sequence[dolfinx.fem.Function],
     residuals: Sequence[ufl.Form],
 ) -> None:
-    """Require that scalars and condensed fields do not meet: a cell eliminates its fields alone."""
+    """Check that no equation contains both a scalar and a condensed field.
+
+    Condensed fields are eliminated cell by cell, where a scalar is no unknown.
+
+    Args:
+        couplings: The couplings.
+        fields: The condensed fields.
+        residuals: The equations of the fields, in the same order.
+
+    Raises:
+        ValueError: An equation contains both.
+    """
     for field, residual in zip(fields, residuals, strict=True):
-        F_p = ufl.algorithms.expand_derivatives(residual)  # works of scalars have no derivative
-        for i, equation in enumerate(coupling.equation for coupling in couplings):
-            found = None
+        # Expanded, because works of scalars vanish when they are differentiated by the field.
+        F_p = ufl.algorithms.expand_derivatives(residual)
+        for i, coupling in enumerate(couplings):
+            equation = coupling.equation
+            cause = None
             if any(field in c.coefficients() for c in equation.equations):
-                found = f"An equation of scalars[{i}] holds the condensed field {field.name}"
+                cause = f"An equation of scalars[{i}] contains the condensed field {field.name}"
             elif equation.unknown in F_p.constants():
-                found = f"The equation of the condensed field {field.name} holds scalars[{i}]"
-            if found is not None:
+                cause = f"The equation of the condensed field {field.name} contains scalars[{i}]"
+            if cause is not None:
                 raise ValueError(
-                    f"{found}, which each cell eliminates alone: state it in u, such as κ (J − 1) "
-                    "for a pressure, or do not condense the field."
+                    f"{cause}, but such fields are eliminated in each cell alone: write it in u, "
+                    "such as κ (J − 1) for a pressure, or do not condense the field."
                 )
 
 
@@ -88,14 +110,20 @@ def create_cavities(
         ValueError: The surface of one encloses no volume.
     """
     couplings: list[Cavity | Windkessel] = []
-    for name, given in cavities.items():
-        axis = None if given.axis is None else np.eye(3)[AXES.index(given.axis)]
-        cavity = Cavity(u, surface_measure(wall)(wall.surfaces[name]), given.volume, axis=axis)
-        couplings.append(Windkessel(cavity, **given.windkessel) if given.windkessel else cavity)
+    for name, filling in cavities.items():
+        axis = None
+        if filling.axis is not None:
+            axis = np.eye(3)[AXES.index(filling.axis)]
+        ds = surface_measure(wall)(wall.surfaces[name])
+        cavity = Cavity(u, ds, filling.volume, axis=axis)
+        if filling.windkessel:
+            couplings.append(Windkessel(cavity, **filling.windkessel))
+        else:
+            couplings.append(cavity)
     return couplings
 
 
-def works(couplings: Sequence[Coupling]) -> list[ufl.Form]:
-    """Return what couplings add to the residual of u."""
-    given = (coupling.equation.work for coupling in couplings)
-    return [work for work in given if work is not None]
+def coupling_works(couplings: Sequence[Coupling]) -> list[ufl.Form]:
+    """Return the works of couplings, which are part of the residual of u."""
+    all_works = (coupling.equation.work for coupling in couplings)
+    return [work for work in all_works if work is not None]

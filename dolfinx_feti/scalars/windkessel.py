@@ -1,12 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Windkessels with two and three elements, which a cavity empties into.
+r"""Windkessels with two and three elements, as outflow of a cavity.
 
 .. math:: Q = q - \dot V(u), \qquad p = p_c + Z Q, \qquad C\, \dot p_c + (p_c - p_v)/R = Q
 
 (docs/volumes.md). Rates are differences of second order (BDF2) over the present step Δt and the
-last one, Δt = ω Δt₀; the first step takes those of first order (implicit Euler, ω = 0):
+last one Δt₀, with Δt = ω Δt₀. In the first step they are of first order (implicit Euler, ω = 0):
 
 .. math:: \dot y ≈ \frac{1}{Δt} \left( \frac{1 + 2ω}{1 + ω} y - (1 + ω) y_n
           + \frac{ω^2}{1 + ω} y_{n-1} \right)
@@ -28,7 +28,7 @@ __all__ = ["Windkessel"]
 
 
 class Windkessel(Coupling):
-    """Vessels behind a cavity: a resistance and a compliance, perhaps with an impedance before.
+    """Vessels downstream of a cavity: resistance and compliance, with or without an impedance.
 
     Example::
 
@@ -39,9 +39,9 @@ class Windkessel(Coupling):
 
     Attributes:
         cavity: The cavity; its pressure p is the unknown.
-        inflow: q, a constant that may change [mm³/s].
-        history: Δt₀, V_n, V_{n−1}, p_c at the same times, as a constant, (5,): all that a step
-            needs to know of earlier ones.
+        inflow: q [mm³/s], whose value may change.
+        history: (Δt₀, V_n, V_{n−1}, p_{c,n}, p_{c,n−1}) as a constant, (5,): all that a step needs
+            of earlier ones.
     """
 
     def __init__(
@@ -55,15 +55,15 @@ class Windkessel(Coupling):
         venous_pressure: float = 0.0,
         distal_pressure: float | None = None,
     ) -> None:
-        """Couple a cavity; the present volume is that of the start. Collective.
+        """Create the Windkessel of a cavity; it starts with the present volume. Collective.
 
         Args:
             cavity: A cavity without a prescribed volume.
             resistance: R [kPa s/mm³], positive.
             compliance: C [mm³/kPa], positive.
             impedance: Z [kPa s/mm³], positive with three elements, zero with two.
-            inflow: q at first [mm³/s].
-            venous_pressure: Pressure behind R [kPa].
+            inflow: q at the start [mm³/s].
+            venous_pressure: p_v, pressure downstream of R [kPa].
             distal_pressure: p_c at the start [kPa]; the cavity's pressure if not given.
 
         Raises:
@@ -78,33 +78,36 @@ class Windkessel(Coupling):
         require_finite(distal_pressure=p_c)
         if cavity.volume is not None:
             raise ValueError(
-                "The cavity of a Windkessel has a prescribed volume: the flow determines it. Leave "
-                "volume= out."
+                "The cavity of a Windkessel has a prescribed volume, but the flow determines it: "
+                "leave volume= out."
             )
         mesh = cavity.u.function_space.mesh
         self.cavity = cavity
         self.inflow = dolfinx.fem.Constant(mesh, np.float64(inflow))
-        self._R, self._C, self._Z = resistance, compliance, impedance
+        self._R = resistance
+        self._C = compliance
+        self._Z = impedance
         self._venous = venous_pressure
         volume = cavity.present_volume()
         self.history = dolfinx.fem.Constant(mesh, np.array([0.0, volume, volume, p_c, p_c]))
         self._rates = dolfinx.fem.Constant(mesh, np.zeros(3))  # of y, y_n and y_{n−1} in ẏ
+        self._dt: float  # Δt of the present step, set by ``begin``
 
     def begin(self, dt: float) -> None:
         """Prepare a step of the length Δt [s], from the present history."""
         require_positive(dt=dt)
-        last = self.history.value[0]
-        ω = dt / last if last > 0.0 else 0.0  # none: first order
+        last_dt = self.history.value[0]
+        ω = dt / last_dt if last_dt > 0.0 else 0.0  # without a last step: first order
         self._rates.value = np.array([(1 + 2 * ω) / (1 + ω), -(1 + ω), ω**2 / (1 + ω)]) / dt
         self._dt = dt
 
     def accept(self) -> None:
-        """Let the present state be the last one. Collective."""
-        _, V, _, p_c, _ = self.history.value
+        """Store the present state as the last one. Collective."""
+        _, V_n, _, p_n, _ = self.history.value
         volume = self.cavity.present_volume()
         flow = self.outflow(volume)
-        p = float(self.cavity.pressure.value) - self._Z * flow
-        self.history.value = [self._dt, volume, V, p, p_c]
+        p_c = float(self.cavity.pressure.value) - self._Z * flow  # p_c = p − Z Q
+        self.history.value = [self._dt, volume, V_n, p_c, p_n]
 
     def outflow(self, volume: float | None = None) -> float:
         """Return the flow Q into the vessels in the present step [mm³/s]. Collective."""
@@ -114,14 +117,22 @@ class Windkessel(Coupling):
 
     @property
     def equation(self) -> ScalarEquation:
-        """C ṗ_c + (p_c − p_v)/R = Q, for the pressure of the cavity."""
-        cavity, rate, last = self.cavity, self._rates[0], self.history
-        of_V, of_p = (self._rates[1] * last[i] + self._rates[2] * last[i + 1] for i in (1, 3))
-        of_p_c = self._C * rate + 1.0 / self._R
-        Q = self.inflow - of_V  # and − rate V
-        rest = of_p_c * (cavity.pressure - self._Z * Q) + self._C * of_p
+        """The equation C ṗ_c + (p_c − p_v)/R − Q = 0, with the pressure of the cavity as unknown.
+
+        Rates are ẏ = a y + y', where y' is the part of earlier steps. With Q = Q' − a V(u),
+        Q' = q − V', p_c = p − Z Q and g = C a + 1/R, the equation is
+        g (p − Z Q') + C p_c' − p_v/R − Q' + (g Z + 1) a V(u) = 0.
+        """
+        cavity = self.cavity
+        a = self._rates[0]
+        _, V_n, V_before, p_n, p_before = self.history
+        V_rate = self._rates[1] * V_n + self._rates[2] * V_before  # V'
+        p_rate = self._rates[1] * p_n + self._rates[2] * p_before  # p_c'
+        g = self._C * a + 1.0 / self._R
+        Q = self.inflow - V_rate  # Q'
+        rest = g * (cavity.pressure - self._Z * Q) + self._C * p_rate
         rest = rest - self._venous / self._R - Q
-        c = (of_p_c * self._Z + 1.0) * rate * cavity.form + cavity.spread(rest)
+        c = (g * self._Z + 1.0) * a * cavity.form + cavity.spread(rest)
         return ScalarEquation(cavity.pressure, (c,), cavity.work)
 
     def check(self, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
@@ -129,7 +140,7 @@ class Windkessel(Coupling):
         self.cavity.check(bcs)
 
     def check_values(self) -> None:
-        """Require a step that has begun, and a flow."""
+        """Check that a step has begun, and that the inflow is finite."""
         if not self._rates.value[0] > 0.0:
             raise ValueError("No time step of the Windkessel has begun: call begin(dt) before.")
         require_finite(inflow=float(self.inflow.value))

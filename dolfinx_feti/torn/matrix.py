@@ -3,13 +3,15 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The torn matrix: the interface between the finite elements and both formulations.
 
-Tearing (eq. 33) replaces the assembled matrix (eq. 32, Augustin_eq:reordered) by
+Tearing [1, eq. 33] replaces the assembled matrix [1, eq. 32] by
 
 .. math:: A = T^\top K\, T, \qquad K = \operatorname{diag}(K_1, …, K_p),
 
-where the boolean :math:`T` copies each dof to every subdomain that holds it: PETSc's MATIS, with a
-block-diagonal local matrix on each process and the map *torn dof → dof*. A subdomain is a connected
-component of the graph of the local matrix. What else is attached: docs/torn_matrix.md.
+where the Boolean matrix :math:`T` copies each dof to every subdomain that has it. A is a MATIS of
+PETSc, with a block-diagonal local matrix on each process and the map *torn dof → dof*. A subdomain
+is a connected component of the graph of the local matrix. Further data are attached to the matrix
+by the names below (docs/torn_matrix.md). In shapes, n is the number of torn dofs and N that of dofs
+of the assembled problem, both of this process.
 """
 
 from __future__ import annotations
@@ -25,17 +27,40 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Mask
-from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.runtime.connectivity import (
-    block_graph,
-    connected_blocks,
-    copy_forest,
-    diagonal_places,
-    is_symmetric,
-)
+from dolfinx_feti.runtime.arrays import Array, Integers, Mask, Numbers
+from dolfinx_feti.runtime.collective import DeferredErrors, logger, on_all
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_library import pattern_state, product, rows_of
+from dolfinx_feti.runtime.star_forest import (
+    Value,
+    broadcast,
+    create_star_forest,
+    gather_leaves,
+    sum_leaves,
+)
+from dolfinx_feti.torn.connectivity import block_graph, connected_blocks, diagonal_places
+from dolfinx_feti.torn.symmetry import is_symmetric
+
+#: Name of the IS of global dofs with a prescribed value that is attached to a torn matrix.
+DIRICHLET = "dirichlet"
+
+#: Name of the Vec with the stiffness of each torn dof for the stiffness scaling, (n,).
+STIFFNESS = "stiffness"
+
+#: Name of the Vec with the coordinates of the owned blocks of dofs.
+COORDINATES = "coordinates"
+
+#: Name of the number of pressures that were condensed into the local matrix.
+PRESSURES = "pressures"
+
+#: Error for an assembled matrix of the type {0}.
+NOT_TORN = (
+    "The matrix has type '{0}', but FETI needs a torn matrix (MATIS), because an assembled one no "
+    "longer has the subdomains. With forms of UFL use the matrix of a problem, A, b = "
+    "dolfinx_feti.LinearProblem(a, L, bcs=bcs).linear_system(), or that of a NonlinearProblem; "
+    "from matrices of the subdomains create one by dolfinx_feti.create_torn_matrix (see "
+    "docs/own_matrix.md)."
+)
 
 
 def create_torn_matrix(
@@ -48,22 +73,28 @@ def create_torn_matrix(
     stiffness: Array | None = None,
     symmetric: bool | None = None,
 ) -> PETSc.Mat:
-    """Wrap a block-diagonal local matrix as the MATIS :math:`A = T^⊤ K T`.
+    """Wrap a block-diagonal local matrix as the MATIS :math:`A = T^⊤ K T`. Collective.
 
     Args:
-        K: Sequential matrix of this process's subdomains, (n_torn, n_torn); it is not copied.
-        torn_to_global: Global *block* index of each torn block, (n_torn / bs,).
+        K: Sequential matrix of this process's subdomains, (n, n); it is not copied.
+        torn_to_global: Global *block* index of each torn block, (n / bs,).
         sizes: Owned and global number of dofs of the assembled problem.
         comm: Communicator of the assembled problem.
-        dirichlet: Global dofs with a prescribed value; in ``K`` they are left free.
-        stiffness: Stiffness of each torn dof for the stiffness scaling, (n_torn,); the diagonal of
+        dirichlet: Global dofs with a prescribed value; ``K`` keeps their rows and columns.
+        stiffness: Stiffness of each torn dof for the stiffness scaling, (n,); the diagonal of
             ``K`` if not given.
-        symmetric: Whether ``K`` is, with all later entries, too; None: it is looked for each time.
+        symmetric: Whether ``K`` is symmetric, and remains so with all later entries. If None, it is
+            detected from the entries of each matrix.
 
     Returns:
-        The torn matrix; the caller destroys it. Collective.
+        The torn matrix; the caller destroys it.
+
+    Raises:
+        ValueError: ``torn_to_global`` does not fit ``K`` or the size, or ``dirichlet`` does not fit
+            the size. On all processes.
     """
     bs = K.getBlockSize()
+    on_all(lambda: _require_map(torn_to_global, K.getSize()[0], sizes[1], bs, dirichlet), comm)
     blocks = np.asarray(torn_to_global, dtype=PETSc.IntType)
     lgmap = PETSc.LGMap().create(blocks, bsize=bs, comm=comm)
     A = PETSc.Mat().create(comm)
@@ -79,10 +110,46 @@ def create_torn_matrix(
     A.assemble()
     if dirichlet is not None:
         dofs = np.asarray(dirichlet, dtype=PETSc.IntType)
-        A.compose("dirichlet", PETSc.IS().createGeneral(dofs, comm=comm))
+        A.compose(DIRICHLET, PETSc.IS().createGeneral(dofs, comm=comm))
     if stiffness is not None:
-        A.compose("stiffness", PETSc.Vec().createWithArray(stiffness.copy(), comm=PETSc.COMM_SELF))
+        A.compose(STIFFNESS, PETSc.Vec().createWithArray(stiffness.copy(), comm=PETSc.COMM_SELF))
     return A
+
+
+def _require_map(
+    torn_to_global: Integers, n: int, size: int, bs: int, dirichlet: Integers | None
+) -> None:
+    """Check that blocks and Dirichlet dofs exist in the assembled problem.
+
+    Args:
+        torn_to_global: Global block of each torn block of this process, (n / bs,).
+        n: Number of rows of the local matrix.
+        size: Number of dofs of the assembled problem.
+        bs: Number of dofs in a block.
+        dirichlet: Global dofs with a prescribed value.
+
+    Raises:
+        ValueError: They do not, or their number does not fit n; on this process alone.
+    """
+    if len(torn_to_global) * bs != n:
+        raise ValueError(
+            f"torn_to_global has {len(torn_to_global)} numbers, but the local matrix has {n} rows "
+            f"in blocks of {bs}: give the global block of each of the {n // bs} torn blocks."
+        )
+    _require_range("torn_to_global", torn_to_global, size // bs, "block")
+    if dirichlet is not None:
+        _require_range("dirichlet", dirichlet, size, "dof")
+
+
+def _require_range(name: str, numbers: Integers, count: int, kind: str) -> None:
+    """Check that all entries of an argument are indices of blocks or dofs, 0 … count − 1."""
+    values = np.asarray(numbers)
+    wrong = values[(values < 0) | (values >= count)]
+    if len(wrong):
+        raise ValueError(
+            f"{name} has the number {wrong[0]}, but the {kind}s of the assembled problem are "
+            f"0 … {count - 1}: give the global number of each {kind}."
+        )
 
 
 def set_near_kernel(
@@ -93,8 +160,9 @@ def set_near_kernel(
     Args:
         A: Torn matrix.
         modes: Linearly independent vectors; orthonormalised in place.
-        coordinates: Where the owned blocks of dofs are, (owned blocks, dimension of space), NaN at
-            no point; with them, the message about a singular problem tells what moves, and where.
+        coordinates: Coordinates of the owned blocks of dofs, (owned blocks, dimension of space),
+            NaN for a block without a point; with them, the message about a singular problem
+            describes what moves, and where.
     """
     for j, mode in enumerate(modes):
         for _ in range(2):  # the first pass leaves rounding errors of the size of the mode
@@ -106,20 +174,30 @@ def set_near_kernel(
     space.destroy()
     if coordinates is not None:
         points = np.array(coordinates, dtype=np.float64).ravel()
-        A.compose("coordinates", PETSc.Vec().createWithArray(points, comm=A.comm))
+        A.compose(COORDINATES, PETSc.Vec().createWithArray(points, comm=A.comm))
 
 
 def set_condensed(A: PETSc.Mat, pressures: int) -> None:
-    """Note how many pressures each process has condensed into K; ``auto`` is primal then."""
-    A.setAttr("pressures", pressures)
+    """Attach the number of pressures that were condensed into K.
+
+    Args:
+        A: Torn matrix.
+        pressures: Number on this process.
+    """
+    A.setAttr(PRESSURES, pressures)
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Names of what a torn matrix holds at one moment on this process; equal until it is changed.
+    """Handles and PETSc states of a torn matrix and its parts on this process, to detect a change.
 
-    Without ``stateIncrease`` a change is not seen. The objects behind the names are kept, so that
-    no new object gets their handles.
+    Equal states mean an unchanged matrix. A change of entries without ``stateIncrease`` is not
+    detected.
+
+    Attributes:
+        pattern: What the pattern depends on.
+        values: What the entries depend on.
+        objects: References that keep the objects alive, so that no new object gets their handles.
     """
 
     pattern: tuple[object, ...]
@@ -127,37 +205,52 @@ class State:
     objects: tuple[PETSc.Object, ...] = field(compare=False, repr=False)
 
     def destroy(self) -> None:
-        """Give the objects up; what Python drops waits in PETSc's garbage. Collective."""
+        """Free the references. Collective.
+
+        Otherwise Python's garbage collector frees them on each process at another time, and PETSc
+        postpones their destruction until all processes agree on it.
+        """
         for owned in self.objects:
             owned.destroy()
 
 
 def state_of(A: PETSc.Mat) -> State:
-    """Return the state of a torn matrix on this process; of another matrix, its name alone."""
+    """Return the state of a torn matrix on this process.
+
+    That of a matrix of another type than MATIS has its handle and PETSc's state alone: it is enough
+    to create a ``Torn``, which refuses the matrix.
+    """
     if A.getType() != PETSc.Mat.Type.IS:
         return State((A.handle,), (A.stateGet(),), (copy(A),))
-    K, maps, spaces = A.getISLocalMat(), A.getLGMap(), (A.getNearNullSpace(), A.getNullSpace())
+    K = A.getISLocalMat()
+    maps = A.getLGMap()
+    spaces = (A.getNearNullSpace(), A.getNullSpace())
     modes = [mode for space in spaces if space.handle for mode in space.getVecs()]
-    dirichlet, stiffness, coordinates = map(A.query, ("dirichlet", "stiffness", "coordinates"))
-    pattern = (
-        *((M.handle, M.getSizes(), M.getBlockSizes(), M.getType()) for M in (A, K)),
-        *pattern_state(K),
-        *(lgmap.handle for lgmap in maps),
-        None if dirichlet is None else dirichlet.getIndices().tobytes(),
-    )
-    values = (
-        *(space.handle for space in spaces),
-        A.getAttr("pressures"),
-        *(each and (each.handle, each.stateGet()) for each in (A, K, stiffness, coordinates)),
-        *((mode.handle, mode.stateGet()) for mode in modes),
-    )
-    vectors = (each for each in (stiffness, coordinates) if each is not None)
-    return State(pattern, values, (copy(A), K, *maps, *modes, *spaces, *vectors))
+    dirichlet = A.query(DIRICHLET)
+    stiffness = A.query(STIFFNESS)
+    coordinates = A.query(COORDINATES)
+    vectors = [vector for vector in (stiffness, coordinates) if vector is not None]
+
+    pattern: list[object] = [lgmap.handle for lgmap in maps]
+    for matrix in (A, K):
+        pattern += [matrix.handle, matrix.getSizes(), matrix.getBlockSizes(), matrix.getType()]
+    pattern += pattern_state(K)
+    pattern.append(None if dirichlet is None else dirichlet.getIndices().tobytes())
+
+    values: list[object] = [space.handle for space in spaces]
+    values.append(A.getAttr(PRESSURES))
+    values += [stiffness is None, coordinates is None]
+    for part in (A, K, *vectors, *modes):
+        values += [part.handle, part.stateGet()]
+
+    objects = (copy(A), K, *maps, *modes, *spaces, *vectors)
+    return State(tuple(pattern), tuple(values), objects)
 
 
-def prescribed_dofs(A: PETSc.Mat) -> Mask:
-    """Return the mask of the owned dofs of a torn matrix with a prescribed value. Collective."""
-    mark, dofs = A.createVecRight(), A.query("dirichlet")
+def dirichlet_dofs(A: PETSc.Mat) -> Mask:
+    """Return the mask of the dofs of a torn matrix with a prescribed value, (N,). Collective."""
+    mark = A.createVecRight()
+    dofs = A.query(DIRICHLET)
     if dofs is not None:
         indices = dofs.getIndices()
         mark.setValues(indices, np.ones(len(indices)))
@@ -168,29 +261,42 @@ def prescribed_dofs(A: PETSc.Mat) -> Mask:
 
 
 class Torn:
-    """A torn matrix as the solver sees it: blocks, copies, near kernel, Dirichlet dofs.
+    """The data of a torn matrix that the solver needs: blocks, copies, near kernel, Dirichlet dofs.
 
     Attributes:
+        comm: Communicator of A.
         A: The MATIS.
         K: Its local block-diagonal matrix, (n, n) on this process.
         n: Number of torn dofs of this process.
-        start: First torn dof of this process in the numbering over all processes.
-        graph: Which blocks of dofs K couples, (n / bs, n / bs).
-        subdomains: For each subdomain its torn dofs, ascending.
-        first: Number of the first subdomain of this process over all processes.
-        prescribed: Mask of the owned dofs with a prescribed value, (owned,).
-        dirichlet: Mask of their copies, (n,).
-        owned: Number of dofs of the assembled problem that this process owns.
+        first_torn_dof: First torn dof of this process in the numbering over all processes.
+        graph: Pattern of K by blocks of bs dofs, (n / bs, n / bs).
+        subdomains: Torn dofs of each subdomain of this process, ascending, (n_i,).
+        first_subdomain: Number of the first subdomain of this process over all processes.
+        N: Number of dofs of the assembled problem that this process owns.
+        dirichlet_dofs: Mask of the dofs with a prescribed value, (N,).
+        dirichlet_copies: Mask of the copies of these dofs, (n,).
+        unused: Mask of the dofs without a copy on any process, (N,).
+        errors: Store for errors of local work in iterations, which are raised later on all
+            processes.
     """
 
     def __init__(self, A: PETSc.Mat) -> None:
-        """Read the pattern of ``A``, which has to be a MATIS of square AIJ blocks."""
-        if A.getType() != PETSc.Mat.Type.IS:
-            raise TypeError(
-                f"The matrix has type '{A.getType()}', but FETI needs the torn matrix (MATIS): "
-                "make it with dolfinx_feti.create_torn_matrix, or use dolfinx_feti.LinearProblem."
-            )
+        """Read the pattern of a torn matrix. Collective.
+
+        Args:
+            A: MATIS with square AIJ blocks.
+
+        Raises:
+            TypeError: A is no MATIS.
+            ValueError: The local matrix is not square or not AIJ.
+        """
         self.comm = A.comm.tompi4py()
+        self.errors = DeferredErrors()
+        if A.getType() != PETSc.Mat.Type.IS:
+            text = NOT_TORN.format(A.getType())
+            if self.comm.rank == 0:
+                logger.error(text)  # callers in C and C++ get only PETSc's error number
+            raise TypeError(text)
         with Lifetime() as owned:
             self.A = owned.own(copy(A))  # another reference
             self.K = owned.own(A.getISLocalMat())
@@ -201,13 +307,15 @@ class Torn:
                     f"The local matrix has type '{self.K.getType()}' and size {self.K.getSize()}; "
                     "FETI needs square AIJ matrices, one block per subdomain."
                 )
-            self.start = self.comm.scan(self.n) - self.n
-            self.owned = A.getLocalSize()[0]
+            self.first_torn_dof = self.comm.scan(self.n) - self.n
+            self.N = A.getLocalSize()[0]
             self.read_pattern()
-            self.first = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
-            self._sf = owned.own(copy_forest(A))
-            self.prescribed = prescribed_dofs(A)
-            self.dirichlet = self.tear(self.prescribed) > 0.5
+            self.first_subdomain = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
+            torn_to_global = A.getLGMap()[0].getIndices()
+            self._sf = owned.own(create_star_forest(torn_to_global, self.N, self.comm))
+            self.unused = self.multiplicity() == 0
+            self.dirichlet_dofs = dirichlet_dofs(A)
+            self.dirichlet_copies = self.tear(self.dirichlet_dofs.astype(np.int64)) > 0
             self._owned = owned.pop_all()
 
     def read_pattern(self) -> None:
@@ -217,90 +325,106 @@ class Torn:
             bs = self.K.getBlockSize()
             with rows_of(self.K) as of_K:
                 self.graph = block_graph(of_K, bs)
-            self._diagonal = diagonal_places(self.K)
+            self._diagonal_places = diagonal_places(self.K)
             self.subdomains = connected_blocks(self.graph, bs)
 
         on_all(read, self.comm)
 
     def multiply(self, t: Array, *, transpose: bool = False) -> Array:
         """Return K t, or Kᵀ t, for a vector, (n,), or several columns, (n, r)."""
-        return product(self.K, t, transpose=transpose) if t.any() else np.zeros_like(t)
+        if not t.any():  # u_D and x_D of most problems and fresh starts; reading t costs little
+            return np.zeros_like(t)
+        return product(self.K, t, transpose=transpose)
 
-    def tear(self, x: npt.ArrayLike) -> Array:
-        """Copy the owned values of an assembled vector, (owned,), to the subdomains, T x, (n,)."""
-        torn, root = np.zeros(self.n), np.ascontiguousarray(x, dtype=np.float64)
-        self._sf.bcastBegin(MPI.DOUBLE, root, torn, MPI.REPLACE)
-        self._sf.bcastEnd(MPI.DOUBLE, root, torn, MPI.REPLACE)
-        return torn  # T x
+    def tear(self, x: npt.NDArray[Value]) -> npt.NDArray[Value]:
+        """Copy the owned entries of an assembled vector to the subdomains, T x. Collective.
 
-    def assemble(self, torn: Array) -> Array:
-        """Sum the copies of each owned dof, :math:`T^⊤ t`, (owned,)."""
-        root, leaf = np.zeros(self.owned), np.ascontiguousarray(torn)
-        self._sf.reduceBegin(MPI.DOUBLE, leaf, root, MPI.SUM)
-        self._sf.reduceEnd(MPI.DOUBLE, leaf, root, MPI.SUM)
-        return root  # Tᵀ t
+        Args:
+            x: Floating-point numbers or 64-bit integers, (N,).
+
+        Returns:
+            The copies, of the same type, (n,).
+        """
+        return broadcast(self._sf, x, self.n)
+
+    def assemble(self, t: Array) -> Array:
+        """Sum the copies of each owned dof, :math:`T^⊤ t`, (n,) → (N,). Collective."""
+        return sum_leaves(self._sf, t, self.N)
 
     def residual(self, b: PETSc.Vec, x: PETSc.Vec, r: PETSc.Vec) -> None:
-        """Let r be b − A x, (N,), zero on Dirichlet dofs. Collective."""
+        """Compute r = b − A x, (N,), zero on Dirichlet dofs. Collective."""
         force = self.multiply(self.tear(x.array_r))
-        r.array[:] = np.where(self.prescribed, 0.0, b.array_r - self.assemble(force))  # b − A x
+        r.array[:] = np.where(self.dirichlet_dofs, 0.0, b.array_r - self.assemble(force))
 
-    def multiplicity(self) -> Indices:
-        """Count the copies of each owned dof, (owned,)."""
-        return np.asarray(self._sf.computeDegree(), dtype=np.int32)
+    def multiplicity(self) -> Numbers:
+        """Return the number of copies of each owned dof, (N,). Collective."""
+        return np.asarray(self._sf.computeDegree(), dtype=np.int64)
 
-    def gather(self, torn: Array) -> Array:
-        """Gather the values of all copies on the owner of their dof, in the order of the dofs."""
-        copies, leaf = np.zeros(int(self.multiplicity().sum())), np.ascontiguousarray(torn)
-        self._sf.gatherBegin(MPI.DOUBLE, leaf, copies)
-        self._sf.gatherEnd(MPI.DOUBLE, leaf, copies)
-        return copies
+    def gather(self, t: npt.NDArray[Value]) -> npt.NDArray[Value]:
+        """Gather the values of all copies on the owner of their dof. Collective.
+
+        Args:
+            t: Floating-point numbers or 64-bit integers, (n,).
+
+        Returns:
+            The values of the copies of the first owned dof, of the second one, and so on, (sum of
+            ``multiplicity()``,).
+        """
+        return gather_leaves(self._sf, t, self.multiplicity())
 
     def near_kernel(self) -> Array:
-        """Return the near kernel on the torn dofs, (n, number of modes)."""
+        """Return the near kernel on the torn dofs, (n, r); constants by default. Collective.
+
+        Raises:
+            SetUpError: No near kernel is attached, and the block size is larger than one.
+        """
         space = self.A.getNearNullSpace()
         modes = [self.tear(mode.array_r) for mode in space.getVecs()] if space.handle else []
         modes += [np.ones(self.n)] if space.handle and space.hasConstant() else []
         if not modes and self.A.getBlockSize() > 1:
             raise SetUpError(
-                "The torn matrix carries no near kernel, and with a block size of "
-                f"{self.A.getBlockSize()} none can be guessed: attach the rigid body modes with "
+                "The torn matrix has no near kernel, and for a block size of "
+                f"{self.A.getBlockSize()} there is no default: attach the rigid body modes with "
                 "dolfinx_feti.set_near_kernel."
             )
         return np.column_stack(modes or [np.ones(self.n)])
 
     def coordinates(self) -> Array | None:
-        """Return where each torn dof is, (n, dimension); None if not attached. Collective."""
-        points = self.A.query("coordinates")
+        """Return the coordinates of each torn dof, (n, dimension); None if not attached.
+
+        Collective.
+        """
+        points = self.A.query(COORDINATES)
         if points is None:
             return None
         bs = self.A.getBlockSize()
-        x = points.array_r.reshape(self.owned // bs, -1) if self.owned else np.zeros((0, 0))
+        x = points.array_r.reshape(self.N // bs, -1) if self.N else np.zeros((0, 0))
         dim = self.comm.allreduce(x.shape[1], op=MPI.MAX)
         torn = np.zeros((self.n, dim))
         for j in range(dim):
-            torn[:, j] = self.tear(np.repeat(x[:, j], bs) if self.owned else np.zeros(0))
+            torn[:, j] = self.tear(np.repeat(x[:, j], bs) if self.N else np.zeros(0))
         return torn
 
     def diagonal(self) -> Array:
         """Return the diagonal of K, (n,)."""
         with rows_of(self.K) as csr:
-            return np.where(self._diagonal < 0, 0.0, csr.values[self._diagonal])
+            places = self._diagonal_places
+            return np.where(places < 0, 0.0, csr.values[places])
 
     def stiffness(self) -> Array:
-        """Return the stiffness of each torn dof for the scaling, (n,); a weight is not negative."""
-        weight = self.A.query("stiffness")
+        """Return the stiffness of each torn dof for the scaling, (n,), not negative."""
+        weight = self.A.query(STIFFNESS)
         return np.abs(self.diagonal() if weight is None else weight.array_r)
 
     @property
     def pressures(self) -> int | None:
-        """Number of pressures that have been condensed into the local matrix; None without."""
-        return self.A.getAttr("pressures")  # type: ignore[no-any-return]
+        """Number of pressures that have been condensed into the local matrix; None if unknown."""
+        return self.A.getAttr(PRESSURES)  # type: ignore[no-any-return]
 
     def is_symmetric(self) -> bool:
-        """Tell whether the matrices of all subdomains are symmetric. Collective."""
+        """Return True if the matrices of all subdomains are symmetric. Collective."""
         return is_symmetric(self.A)
 
     def destroy(self) -> None:
-        """Free the star forest, and give the matrix up."""
+        """Free the star forest and the references to the matrix."""
         self._owned.close()

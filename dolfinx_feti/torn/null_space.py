@@ -1,13 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The null space that a torn matrix has been given, as PETSc's ``setNullSpace`` takes it: checked.
+r"""The null space that a user has attached to a torn matrix by PETSc's ``setNullSpace``.
 
-.. math:: A Z = 0, \quad Z^⊤ Z = I, \quad Z^⊤ b = 0, \quad Z^⊤ x = 0, \qquad
-          (N + θ I_k)\, s = e, \quad S^⊤ e = 0 \; ⟹ \; I_k s = 0, \; N s = e
+.. math:: A Z = 0, \quad Z^⊤ Z = I, \quad Z^⊤ b = 0, \quad Z^⊤ x = 0
 
-with orthonormal columns Z of the assembled problem, (N, k). The coarse matrices have as large a
-null space S, and a stiffness on the diagonal at k unknowns on which S is regular.
+with orthonormal columns Z of the assembled problem, (N, k). T Z, (n, k), has the values of their
+copies. The coarse matrix has a null space of the same dimension (``coarse.null_space``).
 """
 
 from __future__ import annotations
@@ -15,94 +14,132 @@ from __future__ import annotations
 from petsc4py import PETSc
 
 import numpy as np
-import scipy.linalg
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.torn.matrix import Torn
+from dolfinx_feti.torn.rounding import FORCE_ROUNDING_MARGIN, residual_rounding
 
-#: Error that rounding leaves in Zᵀ Z = I, and in A z = 0, scaled by the diagonal of A.
-ROUNDING = 1e-10
+#: Largest error of Zᵀ Z = I, and of A z = 0 scaled by the diagonal of A. Rounding leaves a multiple
+#: of ε = 2e-16, some thousand in the tests; a vector that is no null vector has an error near one.
+#: A choice far from both.
+NULL_VECTOR_RTOL = 1e-10
 
-#: Share of ‖N‖‖s‖ below which N s is rounding, also that of the kernels of the subdomains.
-NO_FORCE = 1e-8
+#: Largest part of a load in the null space of A, relative to the load, that counts as rounding. A
+#: load that nothing balances has a part near one.
+NULL_LOAD_RTOL = 1e-10
 
 
-def null_space(torn: Torn) -> Array:
-    """Return Z on the torn dofs, (n, k), without columns if none is attached. Collective."""
-    space, held = torn.A.getNullSpace(), torn.prescribed
-    columns = [mode.array_r.copy() for mode in space.getVecs()] if space.handle else []
-    if space.handle and space.hasConstant():
-        columns.append(np.full(torn.owned, torn.A.getSize()[0] ** -0.5))
+def read_null_space(torn: Torn) -> Array:
+    """Return T Z, (n, k), without columns if no null space is attached. Collective."""
+    columns = _null_vectors(torn)
     if not columns:
         return np.zeros((torn.n, 0))
-    z, Z = np.column_stack(columns), np.column_stack([torn.tear(column) for column in columns])
-    gram = torn.comm.allreduce(z.T @ z)
-    if not np.abs(gram - np.eye(len(gram))).max() <= ROUNDING:
+    return np.column_stack([torn.tear(column) for column in columns])
+
+
+def _null_vectors(torn: Torn) -> list[Array]:
+    """Return the columns of Z, (N,) each; none if no null space is attached."""
+    space = torn.A.getNullSpace()
+    if not space.handle:
+        return []
+    columns = [mode.array_r.copy() for mode in space.getVecs()]
+    if space.hasConstant():
+        columns.append(np.full(torn.N, torn.A.getSize()[0] ** -0.5))
+    return columns
+
+
+def require_null_space(torn: Torn) -> None:
+    """Check that Zᵀ Z = I and A Z = 0 for the present matrix. Collective.
+
+    Raises:
+        SetUpError: The vectors are not orthonormal, or A Z ≠ 0, or A is not symmetric.
+    """
+    columns = _null_vectors(torn)
+    if not columns:
+        return
+    Z = np.column_stack(columns)
+    gram = torn.comm.allreduce(Z.T @ Z)
+    if not np.abs(gram - np.eye(len(gram))).max() <= NULL_VECTOR_RTOL:  # also if it is nan
         raise SetUpError(
-            "The vectors of the null space of A are not orthonormal, as PETSc takes them to be: "
+            "The vectors of the null space of A are not orthonormal, as PETSc assumes: "
             "orthonormalise them first."
         )
-    d = torn.assemble(np.abs(torn.diagonal()))
-    d = np.where(d > 0.0, d, 1.0)[:, None]
-    force = np.column_stack([torn.assemble(torn.multiply(t)) for t in Z.T])
-    squares = [(force**2 / d)[~held], (d * z**2)[held], d * z**2]
-    sums = torn.comm.allreduce(np.array([each.sum(axis=0) for each in squares]))
-    resisted, moved, size = np.sqrt(sums)
-    for j in np.flatnonzero(~(np.maximum(resisted, moved) <= ROUNDING * size)):
-        what = "A resists it" if resisted[j] >= moved[j] else "it moves Dirichlet dofs"
-        raise SetUpError(
-            f"Vector {j} of the null space of A is no null vector, {what} (‖A z‖/‖z‖ = "
-            f"{max(resisted[j], moved[j]) / size[j]:.1e}, scaled by the diagonal of A): give "
-            "A.setNullSpace what nothing resists, and nothing else."
-        )
+    _require_null_vectors(torn, Z)
     if not torn.is_symmetric():
         raise SetUpError(
-            "A has a null space and is not symmetric, but only symmetric systems are solved in the "
-            "complement of one: prescribe as many dofs instead."
+            "A has a null space and is not symmetric, but FETI solves only symmetric systems in "
+            "the complement of a null space: prescribe as many dofs instead."
         )
-    return Z
 
 
-def take_out(A: PETSc.Mat, v: PETSc.Vec) -> float:
-    """Take the part in the null space out of a vector, v ← v − Z Zᵀ v; ‖Zᵀ v‖. Collective."""
+def _require_null_vectors(torn: Torn, Z: Array) -> None:
+    """Check that A Z = 0, and that Z moves no Dirichlet dof. Collective.
+
+    Args:
+        torn: The torn matrix.
+        Z: Null vectors, (N, k).
+
+    Raises:
+        SetUpError: A column of Z is not a null vector.
+    """
+    d = torn.assemble(np.abs(torn.diagonal()))
+    d = np.where(d > 0.0, d, 1.0)[:, None]
+    AZ = np.column_stack([torn.assemble(torn.multiply(torn.tear(z))) for z in Z.T])
+    is_fixed = torn.dirichlet_dofs
+    squares = [
+        (AZ[~is_fixed] ** 2 / d[~is_fixed]).sum(axis=0),
+        (d[is_fixed] * Z[is_fixed] ** 2).sum(axis=0),
+        (d * Z**2).sum(axis=0),
+    ]
+    force, motion, norm = np.sqrt(torn.comm.allreduce(np.array(squares)))
+    error = np.maximum(force, motion)
+    for j in np.flatnonzero(~(error <= NULL_VECTOR_RTOL * norm)):
+        cause = "A resists it" if force[j] >= motion[j] else "it moves Dirichlet dofs"
+        raise SetUpError(
+            f"Vector {j} of the null space of A is not a null vector, {cause} (‖A z‖/‖z‖ = "
+            f"{error[j] / norm[j]:.1e}, scaled by the diagonal of A): pass only vectors with "
+            "A z = 0 to A.setNullSpace."
+        )
+
+
+def max_null_part(
+    torn: Torn, b: PETSc.Vec, x: PETSc.Vec, r: PETSc.Vec, load_rounding: float
+) -> float:
+    """Return the largest ‖Zᵀ r‖ of r = b − A x_D that counts as rounding. Collective.
+
+    Args:
+        torn: The torn matrix.
+        b: Load, (N,).
+        x: x_D, the prescribed values and zeros, (N,).
+        r: b − A x_D, (N,).
+        load_rounding: Size of the rounding errors of b, in its units.
+
+    Returns:
+        The bound, in the units of b; infinite without a null space.
+    """
+    if not torn.A.getNullSpace().handle:
+        return np.inf
+    rounding = FORCE_ROUNDING_MARGIN * residual_rounding(torn, b, x)
+    return max(NULL_LOAD_RTOL * r.norm(), rounding, load_rounding)
+
+
+def remove_null_space(A: PETSc.Mat, v: PETSc.Vec) -> float:
+    """Remove the part of a vector in the null space, v ← v − Z Zᵀ v. Collective.
+
+    Args:
+        A: Torn matrix; without a null space v does not change.
+        v: The vector, (N,), changed in place.
+
+    Returns:
+        ‖Zᵀ v‖.
+    """
     space = A.getNullSpace()
     if not space.handle:
         return 0.0
     part = v.copy()
     space.remove(v)
-    part.axpy(-1.0, v)
-    size = part.norm()
+    part.axpy(-1.0, v)  # Z Zᵀ v
+    norm = part.norm()
     part.destroy()
-    return float(size)
-
-
-def anchor(N: PETSc.Mat, S: Array) -> bool:
-    """Make a coarse matrix regular along null vectors S, (own rows, k), by k diagonal entries.
-
-    Returns whether N S = 0 holds; N is left as it is otherwise. Collective.
-    """
-    if not S.shape[1]:
-        return True
-    comm, first, scale = N.comm.tompi4py(), N.getOwnershipRange()[0], N.norm() or 1.0
-    s, force = N.createVecs()
-    free = True
-    for column in S.T:
-        s.array[:] = column
-        N.mult(s, force)
-        free = free and force.norm() <= NO_FORCE * scale * s.norm()
-    for owned in (s, force):
-        owned.destroy()
-    if not free:
-        return False
-    whole = np.vstack(comm.allgather(S))
-    pivots = on_all(lambda: scipy.linalg.qr(whole.T, mode="r", pivoting=True)[1], comm)
-    chosen = pivots[: S.shape[1]] - first
-    stiffness = np.where(np.isin(np.arange(len(S)), chosen), scale, 0.0)
-    rows = np.arange(len(S) + 1, dtype=PETSc.IntType)
-    csr = (rows, first + rows[:-1], stiffness)
-    more = PETSc.Mat().createAIJ(N.getSizes(), csr=csr, comm=N.comm)
-    N.axpy(1.0, more, structure=PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    more.destroy()
-    return True
+    return float(norm)

@@ -3,20 +3,22 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
-In the order of the data: wall, checks, xdmf, wallfile, conditions, casefile, fibres, opening.
+``wall`` is a mesh with ``names``. ``checks``, ``xdmf`` and ``wallfile`` read it from files. A case,
+``casekeys`` and ``casefile``, is one TOML file with a wall and its ``conditions``. ``fibres`` and
+``opening`` compute directions and residual stress. No file imports one that is listed after it.
+
+In the order of the data: names, wall, checks, xdmf, wallfile, casekeys, conditions, casefile,
+fibres, opening.
 """
 
-from dolfinx_feti.mechanics.values import type_exports
 from dolfinx_feti.wall.casefile import Case, Filling, Tissue, read_case
-from dolfinx_feti.wall.conditions import (
-    Boundary,
-    Clamp,
-    Dashpot,
-    Pressure,
-    Slide,
-    Spring,
-    apply_conditions,
-)
+from dolfinx_feti.wall.conditions.boundary import Boundary, apply_conditions
+from dolfinx_feti.wall.conditions.condition import Condition, Contribution
+from dolfinx_feti.wall.conditions.prescribed import Clamp, Slide
+from dolfinx_feti.wall.conditions.pressure import Pressure
+from dolfinx_feti.wall.conditions.tissue import Dashpot, Spring
+from dolfinx_feti.wall.fibres import Frame, fibre_families, fibre_frame
+from dolfinx_feti.wall.opening import Opening
 from dolfinx_feti.wall.wall import (
     Wall,
     area,
@@ -33,8 +35,12 @@ __all__ = [
     "Boundary",
     "Case",
     "Clamp",
+    "Condition",
+    "Contribution",
     "Dashpot",
     "Filling",
+    "Frame",
+    "Opening",
     "Pressure",
     "Slide",
     "Spring",
@@ -45,11 +51,11 @@ __all__ = [
     "by_layer",
     "create_wall",
     "facets",
+    "fibre_families",
+    "fibre_frame",
     "openings",
     "read_case",
     "read_wall",
     "surface_measure",
     "write_wall",
 ]
-
-type_exports(globals())

@@ -4,44 +4,48 @@
 """A case in one TOML file: mesh, layers, surfaces, fibres, prestretch, image and loading.
 
 `docs/cases.md` explains the keys, and `demos/wall.toml` is an example. A number is in the first
-unit of its key; a text such as ``"13 kPa"`` may have another one.
+unit of its key; a text such as ``"13 kPa"`` may have another one (``casekeys``).
 """
 
 from __future__ import annotations
 
 import difflib
-import math
-import sys
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 
-from dolfinx_feti.mechanics.loads import mmhg
 from dolfinx_feti.mechanics.values import require_not_negative, require_positive, require_within
-from dolfinx_feti.runtime.collective import on_first
-from dolfinx_feti.wall.conditions import (
-    Clamp,
-    Condition,
-    Dashpot,
-    Pressure,
-    Slide,
-    Spring,
-    by_surface,
+from dolfinx_feti.runtime.collective import on_root
+from dolfinx_feti.wall.casekeys import (
+    DEGREES,
+    MAX_OPENING_ANGLE,
+    MMHG_PER_KPA,
+    NUMBER,
+    PRESSURE,
+    RATE,
+    STIFFNESS,
+    ChoiceKey,
+    Keys,
+    NumberKey,
+    TextKey,
+    TextListKey,
 )
+from dolfinx_feti.wall.conditions.condition import Condition
+from dolfinx_feti.wall.conditions.pressure import Pressure
+from dolfinx_feti.wall.conditions.registry import by_surface, case_keys, conditions_in_case
+from dolfinx_feti.wall.conditions.tissue import Dashpot
 from dolfinx_feti.wall.wall import AXES, Wall
 
 __all__ = ["Case", "Filling", "Tissue", "read_case"]
 
-MMHG = 1.0 / mmhg(1.0)  # in a kPa
-
 
 @dataclass(frozen=True, slots=True)
 class Tissue:
-    """The material of a layer."""
+    """The material of a layer (``conditions.tissue`` is about the tissue around the wall)."""
 
     c: float  #: Stiffness of the matrix material [kPa]
     k1: float = 0.0  #: Stiffness of the fibres [kPa]; 0 for none
@@ -60,26 +64,31 @@ class Tissue:
 
 @dataclass(frozen=True, slots=True)
 class Filling:
-    """What governs the volume of a cavity, whose pressure is an unknown: one of the first two."""
+    """The fluid in a cavity: a prescribed volume, or a Windkessel into which the fluid flows.
 
-    volume: float | None = None  #: Volume to be enclosed [mm³]
-    #: Resistance [kPa s/mm³], compliance [mm³/kPa], and perhaps impedance
+    The pressure of the cavity is an unknown.
+    """
+
+    volume: float | None = None  #: Enclosed volume [mm³]
+    #: Resistance [kPa s/mm³], compliance [mm³/kPa], and optionally impedance [kPa s/mm³]
     windkessel: dict[str, float] = field(default_factory=dict)
     axis: str | None = None  #: Axis of a tube with open ends; None for a closed surface
 
     def __post_init__(self) -> None:
         """Check the values."""
-        if (self.volume is None) == (not self.windkessel):
-            raise ValueError("give a volume or a windkessel, one of them")
+        _require_one(has_volume=self.volume is not None, has_windkessel=bool(self.windkessel))
         if self.volume is not None:
             require_positive(volume=self.volume)
-        if vessels := dict(self.windkessel):
-            require_not_negative(impedance=vessels.pop("impedance", 0.0))
-            both = "a resistance, a compliance, and perhaps an impedance"
-            has = f"windkessel={self.windkessel}: give {both}"
-            _require(set(vessels) == {"resistance", "compliance"}, has)
-            require_positive(**vessels)
-        _require(self.axis in (None, *AXES), f"axis={self.axis!r}: choose 'x', 'y', 'z' or None")
+        if self.windkessel:
+            parameters = dict(self.windkessel)
+            require_not_negative(impedance=parameters.pop("impedance", 0.0))
+            if set(parameters) != {"resistance", "compliance"}:
+                raise ValueError(
+                    f"windkessel={self.windkessel}: give a resistance, a compliance, and perhaps "
+                    "an impedance"
+                )
+            require_positive(**parameters)
+        _check_axis(self.axis)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,42 +97,64 @@ class Case:
 
     mesh: str  #: Name of the mesh, as in the file
     layers: dict[str, Tissue]  #: Materials of the layers
-    conditions: dict[str, tuple[Condition, ...]]  #: On the surfaces; the largest share is 1
+    #: Conditions by surface; the largest share of a pressure is 1
+    conditions: dict[str, tuple[Condition, ...]]
     pressure: float  #: Target [mmHg]; 0 if all pressures are those of cavities
     scale: float = 1.0  #: Millimetres in the mesh's unit of length
-    image: float = 0.0  #: Pressure under which the wall has the mesh's shape [mmHg]; 0 at rest
+    image: float = 0.0  #: Pressure in the wall when its mesh was imaged [mmHg]; 0 at rest
     rate: float | None = None  #: Rate of the pressure [mmHg/s]; None without dashpots
     axis: str | None = None  #: Axis of the prestretch; None for none
     stretch: float = 1.0  #: The prestretch [-]
-    fibres: dict[str, Any] = field(default_factory=dict)  #: Arguments of ``fibre_frame``
+    #: Keyword arguments of ``fibre_frame``: inner, outer, ends, inlet
+    fibres: dict[str, Any] = field(default_factory=dict)
     cavities: dict[str, Filling] = field(default_factory=dict)  #: Fillings by surface
 
     def __post_init__(self) -> None:
-        """Check the values."""
+        """Check the values, and that each has an effect."""
         require_positive(scale=self.scale, stretch=self.stretch)
         require_not_negative(image=self.image)
+        _check_axis(self.axis)
+        if self.axis is None and self.stretch != 1.0:
+            raise ValueError(f"stretch={self.stretch}: has no effect without an axis")
+        self._check_pressure()
+        self._check_rate()
+
+    def _check_pressure(self) -> None:
+        """Check the pressure, and that no cavity has the surface of a pressure."""
         if self.pressure or not self.cavities:
             require_positive(pressure=self.pressure)
+        surfaces_under_pressure = self._surfaces_with(Pressure)
+        if self.pressure and not surfaces_under_pressure:
+            raise ValueError(
+                f"pressure={self.pressure}: has no effect without a surface under pressure"
+            )
+        for name in self.cavities:
+            if name in surfaces_under_pressure:
+                raise ValueError(
+                    f"[surfaces.{name}] pressure: leave it out, [cavity.{name}] determines it"
+                )
+
+    def _check_rate(self) -> None:
+        """Check that there is a rate of the pressure if and only if dashpots need it."""
         if self.rate is not None:
             require_positive(rate=self.rate)
-        given = [(name, type(c)) for name, found in self.conditions.items() for c in found]
-        loaded = {name for name, kind in given if kind is Pressure}
-        dashpots = self.pressure > 0.0 and any(kind is Dashpot for _, kind in given)
-        none = "has no effect without"
-        for holds, message in (
-            (loaded or not self.pressure,
-             f"pressure={self.pressure}: {none} a surface under pressure"),
-            (self.axis in (None, *AXES), f"axis={self.axis!r}: choose 'x', 'y', 'z' or None"),
-            (self.axis or self.stretch == 1.0, f"stretch={self.stretch}: {none} an axis"),
-            (self.rate or not dashpots,
-             "[loading] rate is missing: dashpots need the rate of the pressure [mmHg/s]"),
-            (dashpots or self.rate is None,
-             f"[loading] rate = {self.rate}: {none} a dashpot and a pressure"),
-        ):  # fmt: skip
-            _require(holds, message)
-        for name in self.cavities:
-            has = f"[surfaces.{name}] pressure: leave it out, [cavity.{name}] determines it"
-            _require(name not in loaded, has)
+        needs_rate = self.pressure > 0.0 and bool(self._surfaces_with(Dashpot))
+        if needs_rate and self.rate is None:
+            raise ValueError(
+                "[loading] rate is missing: dashpots need the rate of the pressure [mmHg/s]"
+            )
+        if self.rate is not None and not needs_rate:
+            raise ValueError(
+                f"[loading] rate = {self.rate}: has no effect without a dashpot and a pressure"
+            )
+
+    def _surfaces_with(self, kind: type) -> set[str]:
+        """Return the names of the surfaces that have a condition of a kind."""
+        return {
+            name
+            for name, conditions in self.conditions.items()
+            if any(isinstance(condition, kind) for condition in conditions)
+        }
 
     @property
     def has_residual_stress(self) -> bool:
@@ -131,202 +162,228 @@ class Case:
         return any(t.opening_angle or t.axial_stretch != 1.0 for t in self.layers.values())
 
     def check(self, wall: Wall) -> None:
-        """Compare names with those of the wall.
+        """Check the names of layers and surfaces against those of the wall.
 
         Raises:
-            ValueError: A name is wrong, or a layer is missing.
+            ValueError: The wall has no layer or surface of a name, or the case omits a layer.
         """
-        for table, kind, given, known in (
-            ("layers", "layer", self.layers, wall.layers),
-            ("surfaces", "surface", self.conditions, wall.surfaces),
-            ("cavity", "surface", self.cavities, wall.surfaces),
-        ):
-            for name in given:
-                has = f"it has {', '.join(known) or 'none'}{_meant(name, known)}"
-                _require(name in known, f"[{table}.{name}]: the wall has no {kind} {name!r}; {has}")
+        _check_names("layers", "layer", self.layers, wall.layers)
+        _check_names("surfaces", "surface", self.conditions, wall.surfaces)
+        _check_names("cavity", "surface", self.cavities, wall.surfaces)
         for name in wall.layers:
-            _require(name in self.layers, f"[layers.{name}] is missing: give the layer's material")
+            if name not in self.layers:
+                raise ValueError(f"[layers.{name}] is missing: give the layer's material")
 
 
-def _require(holds: object, message: str) -> None:
-    if not holds:
-        raise ValueError(message)
+def _require_one(*, has_volume: bool, has_windkessel: bool) -> None:
+    """Raise a ValueError unless exactly one of volume and Windkessel is given."""
+    if has_volume and has_windkessel:
+        raise ValueError("give a volume or a windkessel, not both")
+    if not has_volume and not has_windkessel:
+        raise ValueError("give a volume or a windkessel")
 
 
-def _meant(word: str, known: Iterable[str]) -> str:
-    """Ask whether a similar word was meant."""
-    close = difflib.get_close_matches(word, list(known), n=1)
-    return f" (did you mean {close[0]!r}?)" if close else ""
+def _check_axis(axis: str | None) -> None:
+    """Raise a ValueError if an axis is none of ``AXES`` and not None."""
+    if axis not in (None, *AXES):
+        raise ValueError(f"axis={axis!r}: choose 'x', 'y', 'z' or None")
+
+
+def _check_names(table: str, kind: str, names: Iterable[str], of_wall: Iterable[str]) -> None:
+    """Raise a ValueError for the first name of a table that the wall does not have.
+
+    Args:
+        table: Table of the file, for the message.
+        kind: ``layer`` or ``surface``, for the message.
+        names: Names in the table.
+        of_wall: Names of the wall.
+    """
+    for name in names:
+        if name not in of_wall:
+            raise ValueError(
+                f"[{table}.{name}]: the wall has no {kind} {name!r}; it has "
+                f"{', '.join(of_wall) or 'none'}{_suggestion(name, of_wall)}"
+            )
+
+
+def _suggestion(word: str, choices: Iterable[str]) -> str:
+    """Return a question for the most similar choice, or an empty text if none is similar."""
+    similar = difflib.get_close_matches(word, list(choices), n=1)
+    return f" (did you mean {similar[0]!r}?)" if similar else ""
 
 
 def read_case(path: Path | str, comm: MPI.Comm) -> Case:
-    """Read a case on the first process (docs/cases.md). Collective.
+    """Read a case on the first process, for all (docs/cases.md). Collective.
+
+    Args:
+        path: The TOML file.
+        comm: Communicator of the wall.
 
     Raises:
         OSError: The file cannot be read.
-        ValueError: It is no TOML, or a key or a value in it is wrong.
+        ValueError: The file is not TOML, or a key or a value in it is wrong.
     """
-    return on_first(lambda: _read_case(Path(path)), comm)
+    return on_root(lambda: _read_case(Path(path)), comm)
 
 
 def _read_case(path: Path) -> Case:
     """Read a case on one process."""
     try:
-        words = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise FileNotFoundError(f"There is no file {path}: name a TOML file") from error
     except (ValueError, RecursionError) as error:  # neither TOML nor text
         raise ValueError(f"{path} is no TOML file: {error}") from error
     try:
-        return _create_case(_values(words, KEYS))
+        return _create_case(_read_values(content, KEYS))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-# What a key asks for, and the function that takes its value or raises an error.
-Ask = tuple[str, Callable[[Any], Any]]
-
-
-def _number(
-    units: dict[str, float], least: float = sys.float_info.min, most: float = sys.float_info.max
-) -> Ask:
-    """Ask for a number in the first unit, or for a text with one of the units."""
-    first = next(iter(units))
-    bounds = "a positive number" if least > 0.0 else f"a number from {least:g} to {most:g}"
-    unit_asked = f" in {first}, or a text with its unit, {', '.join(units)}" * bool(first)
-
-    def take(value: Any) -> float:
-        text = value if isinstance(value, str) else f"{value} {first}"
-        figure, _, unit = text.strip().partition(" ")
-        number = float(figure) * units[unit.strip()]
-        _require(least <= number <= most, "out of bounds")
-        return number
-
-    return f"give {bounds}{unit_asked}", take
-
-
-def _choice(*choices: str) -> Ask:
-    """Ask for one of several texts."""
-    return f"choose one of {', '.join(map(repr, choices))}", lambda v: choices[choices.index(v)]
-
-
-def _texts(value: Any) -> list[str]:
-    _require(isinstance(value, list) and all(isinstance(v, str) for v in value), "no list of texts")
-    return value
-
-
-TEXT = 'give a text, in quotation marks, as in mesh = "wall.msh"', lambda v: _texts([v])[0]
-STIFFNESS = _number({"kPa": 1.0, "Pa": 1e-3, "MPa": 1e3})
-SPRING = {"kPa/mm": 1.0, "kPa/cm": 0.1, "kPa/m": 1e-3, "Pa/mm": 1e-3, "Pa/m": 1e-6}
-DEGREES = {"degrees": 1.0, "rad": 180.0 / math.pi}
-LAYER = {
+#: Keys of a layer. The fibres need all of k1, k2 and angle; see :data:`FIBRES`.
+LAYER: Keys = {
     "c": STIFFNESS,
     "k1": STIFFNESS,
-    "k2": _number({"": 1.0}),
-    "angle": _number(DEGREES, 0.0, 90.0),
-    "opening_angle": _number(DEGREES, -359.0, 359.0),
-    "axial_stretch": _number({"": 1.0}),
+    "k2": NUMBER,
+    "angle": NumberKey(DEGREES, 0.0, 90.0),
+    "opening_angle": NumberKey(DEGREES, -MAX_OPENING_ANGLE, MAX_OPENING_ANGLE),
+    "axial_stretch": NUMBER,
 }
+
+#: Keys of a layer with fibres: all or none of them are given.
 FIBRES = ("k1", "k2", "angle")
-PRESSURE = _number({"mmHg": 1.0, "kPa": MMHG, "Pa": 1e-3 * MMHG})
-SURFACE = {
-    "pressure": PRESSURE,
-    "spring": _number(SPRING),
-    "dashpot": _number({unit.replace("/", " s/"): factor for unit, factor in SPRING.items()}),
-    "direction": _choice("normal", "all"),
-    "hold": _choice("clamp", "slide"),
-}
-#: A millilitre is 1000 mm³.
-RESISTANCE = _number({"kPa s/mm³": 1.0, "mmHg s/ml": 1e-3 / MMHG})
-COMPLIANCE = _number({"mm³/kPa": 1.0, "ml/mmHg": 1e3 * MMHG})
-CAVITY = {
-    "volume": _number({"mm³": 1.0, "ml": 1e3}),
-    "axis": _choice(*AXES),
+
+#: Resistance and impedance of a Windkessel. A mmHg s/ml is 1/7.5 kPa s for 1000 mm³.
+RESISTANCE = NumberKey({"kPa s/mm³": 1.0, "mmHg s/ml": 1e-3 / MMHG_PER_KPA})
+
+#: Compliance of a Windkessel. A ml/mmHg is 1000 mm³ for 1/7.5 kPa.
+COMPLIANCE = NumberKey({"mm³/kPa": 1.0, "ml/mmHg": 1e3 * MMHG_PER_KPA})
+
+#: Keys of a cavity.
+CAVITY: Keys = {
+    "volume": NumberKey({"mm³": 1.0, "ml": 1e3}),
+    "axis": ChoiceKey(tuple(AXES)),
     "windkessel": {"resistance": RESISTANCE, "compliance": COMPLIANCE, "impedance": RESISTANCE},
 }
-ENDS = 'give a list of texts, as ["opening_1", "opening_2"]', _texts
-KEYS = {
-    "mesh": TEXT,
-    "scale": _number({"": 1.0}),
+
+#: All keys of a file; ``*`` is the name of any layer or surface.
+KEYS: Keys = {
+    "mesh": TextKey(),
+    "scale": NUMBER,
     "layers": {"*": LAYER},
-    "surfaces": {"*": SURFACE},
+    "surfaces": {"*": case_keys()},
     "cavity": {"*": CAVITY},
     "image": {"pressure": PRESSURE},
-    "fibres": {"inner": TEXT, "outer": TEXT, "ends": ENDS, "inlet": TEXT},
-    "prestretch": {"axis": _choice(*AXES), "stretch": _number({"": 1.0})},
-    "loading": {"rate": _number({"mmHg/s": 1.0, "kPa/s": MMHG})},
+    "fibres": {"inner": TextKey(), "outer": TextKey(), "ends": TextListKey(), "inlet": TextKey()},
+    "prestretch": {"axis": ChoiceKey(tuple(AXES)), "stretch": NUMBER},
+    "loading": {"rate": RATE},
 }
 
 
-def _values(table: dict[str, Any], keys: dict[str, Any], name: str = "") -> dict[str, Any]:
-    """Return the values of a table in the first unit of each; name the key that is wrong."""
+def _read_values(table: dict[str, Any], keys: Keys, name: str = "") -> dict[str, Any]:
+    """Return the values of a table in the first unit of each.
+
+    Args:
+        table: A table of the file, with its tables inside.
+        keys: The keys that it may have.
+        name: Name of the table, for messages; empty for the file.
+
+    Raises:
+        ValueError: A key does not exist, or its value is wrong.
+    """
     values = {}
     for key, value in table.items():
         where = f"[{name}] {key} = {value!r}" if name else f"{key} = {value!r}"
-        ask = keys.get(key, keys.get("*"))
-        others = f"there are {', '.join(keys)}{_meant(key, keys)}"
-        _require(ask, f"{where}: there is no such key; {others}")
-        if isinstance(ask, dict):
-            _require(isinstance(value, dict), f"{where}: this is to be a table, [{key}]")
-            values[key] = _values(value, ask, f"{name}.{key}".strip("."))
+        expected = keys.get(key, keys.get("*"))
+        if expected is None:
+            raise ValueError(
+                f"{where}: there is no such key; there are {', '.join(keys)}"
+                f"{_suggestion(key, keys)}"
+            )
+        if isinstance(expected, Mapping):
+            if not isinstance(value, dict):
+                raise ValueError(f"{where}: give a table, [{key}]")
+            values[key] = _read_values(value, expected, f"{name}.{key}".strip("."))
             continue
         try:
-            values[key] = ask[1](value)
+            values[key] = expected.read(value)
         except (KeyError, OverflowError, TypeError, ValueError) as error:
-            raise ValueError(f"{where}: {ask[0]}") from error
+            raise ValueError(f"{where}: {expected.remedy}") from error
     return values
 
 
-def _need(words: dict[str, Any], name: str, keys: Iterable[str], why: str) -> None:
+def _require_keys(table: dict[str, Any], name: str, keys: Iterable[str], remedy: str) -> None:
+    """Raise a ValueError for the first key that a table lacks."""
     for key in keys:
-        _require(key in words, f"[{name}] {key} is missing: {why}")
+        if key not in table:
+            raise ValueError(f"[{name}] {key} is missing: {remedy}")
 
 
-def _create_case(words: dict[str, Any]) -> Case:
-    """Return the case that the values of a file make."""
-    layers, surfaces, cavities = (words.get(key, {}) for key in ("layers", "surfaces", "cavity"))
-    _require("mesh" in words, "mesh is missing: name a file, vessel or tube")
-    _require(layers, "name the layers of the wall and their materials, as [layers.media]")
-    for name, layer in layers.items():
-        _need(layer, f"layers.{name}", ["c"], "give a positive number in kPa")
-        if any(key in layer for key in FIBRES):
-            _need(layer, f"layers.{name}", FIBRES, "fibres need k1, k2 and angle")
-    pressures = {name: s["pressure"] for name, s in surfaces.items() if "pressure" in s}
-    most = max(pressures.values(), default=0.0)
-    conditions: dict[str, tuple[Condition, ...]] = {}
-    for name, s in surfaces.items():
-        direction = s.get("direction", "normal")
-        share = [Pressure(s["pressure"] / most)] if name in pressures else []
-        spring = [Spring(s["spring"], direction)] if "spring" in s else []
-        dashpot = [Dashpot(s["dashpot"], direction)] if "dashpot" in s else []
-        hold = [Clamp() if s["hold"] == "clamp" else Slide()] if "hold" in s else []
-        conditions[name] = (*share, *spring, *dashpot, *hold)
-        message = f"[surfaces.{name}] has no effect: give it a pressure, spring, dashpot or hold"
-        _require(conditions[name], message)
-        message = f"[surfaces.{name}] direction: has no effect without a spring or a dashpot"
-        _require(spring or dashpot or "direction" not in s, message)
-    by_surface(conditions)  # nothing acts on a clamped surface
-    fillings: dict[str, Filling] = {}
-    for name, given in cavities.items():
-        one = f"[cavity.{name}]: give a volume or a windkessel, one of them"
-        _require(("volume" in given) != ("windkessel" in given), one)
+def _create_case(values: dict[str, Any]) -> Case:
+    """Return the case of a file.
+
+    Args:
+        values: The values of all keys, in the first unit of each.
+
+    Raises:
+        ValueError: A key is missing, has no effect, or contradicts another one.
+    """
+    if "mesh" not in values:
+        raise ValueError(
+            "mesh is missing: name a file, or one of the generated walls, 'vessel' or 'tube'"
+        )
+    layers = _create_layers(values.get("layers", {}))
+    surfaces: dict[str, dict[str, Any]] = values.get("surfaces", {})
+    pressures = [surface["pressure"] for surface in surfaces.values() if "pressure" in surface]
+    highest_pressure = max(pressures, default=0.0)
+    conditions = {
+        name: conditions_in_case(name, surface, highest_pressure)
+        for name, surface in surfaces.items()
+    }
+    by_surface(conditions)  # raises an error for other conditions on a clamped surface
+    cavities = _create_fillings(values.get("cavity", {}))
+    if not pressures and not cavities:
+        raise ValueError(
+            "surfaces: name the surface under pressure, as [surfaces.lumen], or a cavity"
+        )
+    prestretch: dict[str, Any] = values.get("prestretch", {})
+    if "prestretch" in values:
+        _require_keys(prestretch, "prestretch", ["axis", "stretch"], "both are needed")
+    return Case(
+        mesh=values["mesh"],
+        layers=layers,
+        conditions=conditions,
+        pressure=highest_pressure,
+        scale=values.get("scale", 1.0),
+        image=values.get("image", {}).get("pressure", 0.0),
+        rate=values.get("loading", {}).get("rate"),
+        fibres=values.get("fibres", {}),
+        cavities=cavities,
+        axis=prestretch.get("axis"),
+        stretch=prestretch.get("stretch", 1.0),
+    )
+
+
+def _create_layers(tables: dict[str, dict[str, float]]) -> dict[str, Tissue]:
+    """Return the materials of the tables ``[layers.…]``."""
+    if not tables:
+        raise ValueError("name the layers of the wall and their materials, as [layers.media]")
+    layers = {}
+    for name, table in tables.items():
+        _require_keys(table, f"layers.{name}", ["c"], "give a positive number in kPa")
+        if any(key in table for key in FIBRES):
+            _require_keys(table, f"layers.{name}", FIBRES, "fibres need k1, k2 and angle")
+        layers[name] = Tissue(**table)
+    return layers
+
+
+def _create_fillings(tables: dict[str, dict[str, Any]]) -> dict[str, Filling]:
+    """Return the fillings of the tables ``[cavity.…]``."""
+    fillings = {}
+    for name, table in tables.items():
         try:
-            fillings[name] = Filling(**given)
+            _require_one(has_volume="volume" in table, has_windkessel="windkessel" in table)
+            fillings[name] = Filling(**table)
         except ValueError as error:
             raise ValueError(f"[cavity.{name}]: {error}") from error
-    has = "surfaces: name the surface under pressure, as [surfaces.lumen], or a cavity"
-    _require(pressures or cavities, has)
-    if "prestretch" in words:
-        _need(words["prestretch"], "prestretch", ["axis", "stretch"], "both are needed")
-    return Case(
-        mesh=words["mesh"],
-        layers={name: Tissue(**layer) for name, layer in layers.items()},
-        conditions=conditions,
-        pressure=most,
-        scale=words.get("scale", 1.0),
-        image=words.get("image", {}).get("pressure", 0.0),
-        rate=words.get("loading", {}).get("rate"),
-        fibres=words.get("fibres", {}),
-        cavities=fillings,
-        **words.get("prestretch", {}),
-    )
+    return fillings

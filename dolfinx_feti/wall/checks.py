@@ -1,20 +1,20 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Checks of a wall's mesh before dolfinx, which takes a broken one as it is and may crash.
+"""Checks of a wall's mesh before dolfinx reads it, which accepts broken meshes and may crash.
 
-Each process has any share of points, cells and facets, rows of nodes in dolfinx's order. Rows with
-the same least node meet on one process.
+Each process has any share of the points, cells and facets; cells and facets are rows of nodes in
+dolfinx's order. To detect equal rows, those with the same smallest node are sent to one process.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import basix
 
@@ -24,119 +24,202 @@ from dolfinx_feti.wall.wall import Wall
 
 __all__ = ["CELLS", "check_cells", "check_faces", "check_rows", "orientations"]
 
-#: Cell, order of the geometry and nodes of a facet by the number of nodes.
+
+class CellKind(NamedTuple):
+    """A kind of cells of a wall.
+
+    Attributes:
+        shape: basix's name of the cell.
+        order: Order of the geometry, 1 or 2.
+        facet_nodes: Number of nodes of a facet.
+    """
+
+    shape: str
+    order: int
+    facet_nodes: int
+
+
+#: Kinds of cells by their number of nodes.
 CELLS = {
-    4: ("tetrahedron", 1, 3),
-    10: ("tetrahedron", 2, 6),
-    8: ("hexahedron", 1, 4),
-    27: ("hexahedron", 2, 9),
+    4: CellKind("tetrahedron", 1, 3),
+    10: CellKind("tetrahedron", 2, 6),
+    8: CellKind("hexahedron", 1, 4),
+    27: CellKind("hexahedron", 2, 9),
 }
 
-#: Volume of a cell, over the cube of its longest edge, that counts as none.
-FLAT = 1e-12
+#: Volume of a cell over the cube of its largest extent, below which the cell is flat: a margin over
+#: the rounding of det ∂x/∂ξ, far below the slivers that mesh generators make.
+MIN_RELATIVE_VOLUME = 1e-12
 
-#: Cells that are looked at together, to save memory.
-MANY = 10_000
+#: Degree of the quadrature at whose points det ∂x/∂ξ of a curved cell or a hexahedron is evaluated,
+#: with 3 × 3 × 3 points of a hexahedron. Cells that are inverted only between the points pass.
+ORIENTATION_DEGREE = 4
+
+#: Cells whose orientations are computed at a time: a memory bound, some 20 MB for hexahedra.
+CELLS_AT_ONCE = 10_000
 
 
 def check_rows(
-    mesh: object, x: Array, cells: Integers, others: Sequence[Integers], comm: MPI.Comm
+    mesh_name: object, x: Array, cells: Integers, others: Sequence[Integers], comm: MPI.Comm
 ) -> None:
-    """Require cells that occur once, of finite points that exist, as those of others. Collective.
+    """Check that nodes exist and are finite, and that each cell occurs once. Collective.
 
-    ``mesh`` is what messages call the mesh; a ValueError is raised on all processes.
+    Args:
+        mesh_name: Name of the mesh for messages, such as its path.
+        x: Points of this process, (n, 3).
+        cells: Cells of this process, (m, nodes).
+        others: Further tables of nodes, such as facets.
+        comm: Communicator.
+
+    Raises:
+        ValueError: The mesh has no cells, or something is wrong. On all processes.
     """
-    words, n = _words(cells), comm.allreduce(len(x))
+    cell_name, facet_name = _plural_names(cells)
+    n = comm.allreduce(len(x))
     if not comm.allreduce(len(cells)):
-        raise ValueError(f"{mesh} has no cells")
-    for what, rows in [(words[0], cells), *((words[1], rows) for rows in others)]:
-        lost = ((rows < 0) | (rows >= n)).any(axis=1)
-        _refuse(lost, f"{what} of {mesh} have points that are not in the file", comm)
-    wrong = ~np.isfinite(x).all(axis=1)
-    _refuse(wrong, f"points of {mesh} have coordinates that are not finite", comm)
+        raise ValueError(f"{mesh_name} has no cells")
+    tables = [(cell_name, cells), *((facet_name, rows) for rows in others)]
+    for name, rows in tables:
+        has_missing_point = ((rows < 0) | (rows >= n)).any(axis=1)
+        message = f"{name} of {mesh_name} have points that are not in the file"
+        _require_none(has_missing_point, message, comm)
+    is_infinite = np.any(~np.isfinite(x), axis=1)
+    _require_none(is_infinite, f"points of {mesh_name} have coordinates that are not finite", comm)
     rows = _gathered(cells, n, comm)
     rows = rows[np.lexsort(rows.T)]
-    twice = (rows[1:] == rows[:-1]).all(axis=1)
-    _refuse(twice, f"{words[0]} of {mesh} occur twice: put each into one layer", comm)
-    point_twice = (rows[:, 1:] == rows[:, :-1]).any(axis=1)
-    _refuse(point_twice, f"{words[0]} of {mesh} have no volume: improve the mesh", comm)
+    equals_next_row = (rows[1:] == rows[:-1]).all(axis=1)
+    message = f"{cell_name} of {mesh_name} occur twice: put each into one layer"
+    _require_none(equals_next_row, message, comm)
+    has_point_twice = (rows[:, 1:] == rows[:, :-1]).any(axis=1)
+    _require_none(
+        has_point_twice, f"{cell_name} of {mesh_name} have no volume: improve the mesh", comm
+    )
 
 
-def check_faces(mesh: object, cells: Integers, facets: Integers, comm: MPI.Comm) -> None:
-    """Require faces of at most two cells, and facets that are faces, each tagged once. Collective.
+def check_faces(mesh_name: object, cells: Integers, facets: Integers, comm: MPI.Comm) -> None:
+    """Check that a face has at most two cells, and a facet is a face and has one tag. Collective.
 
-    Rows have to have passed :func:`check_rows`.
+    Args:
+        mesh_name: Name of the mesh for messages, such as its path.
+        cells: Cells of this process, which have passed :func:`check_rows`, (m, nodes).
+        facets: Tagged facets of this process, which have passed it, too, (k, nodes).
+        comm: Communicator.
+
+    Raises:
+        ValueError: Something is wrong. On all processes.
     """
-    (kinds, kind), (cell, order, nodes) = _words(cells), CELLS[cells.shape[1]]
-    if facets.shape[1] != nodes and comm.allreduce(len(facets)):
+    cell_name, facet_name = _plural_names(cells)
+    kind = CELLS[cells.shape[1]]
+    has_other_nodes = facets.shape[1] != kind.facet_nodes  # the same on all processes
+    if has_other_nodes and comm.allreduce(len(facets)):
         raise ValueError(
-            f"{mesh} has {kinds} of order {order}, but facets with {facets.shape[1]} nodes: a wall "
-            f"has {kind} of that order"
+            f"{mesh_name} has {cell_name} of order {kind.order}, but facets with {facets.shape[1]} "
+            f"nodes: a wall has {facet_name} of that order"
         )
-    corners = np.array(basix.topology(getattr(basix.CellType, cell))[2])  # (faces, corners)
+    corners = np.array(basix.topology(getattr(basix.CellType, kind.shape))[2])  # (faces, corners)
     n = 1 + comm.allreduce(int(cells.max(initial=0)), op=MPI.MAX)
-    every = _gathered(cells[:, corners].reshape(-1, corners.shape[1]), n, comm)
-    faces, cells_of_face = np.unique(every, axis=0, return_counts=True)
-    crowded = cells_of_face > 2
-    _refuse(crowded, f"{kind} of {mesh} are faces of more than two {kinds}: cells overlap", comm)
+    faces_of_cells = _gathered(cells[:, corners].reshape(-1, corners.shape[1]), n, comm)
+    faces, cells_of_face = np.unique(faces_of_cells, axis=0, return_counts=True)
+    message = f"{facet_name} of {mesh_name} are faces of more than two {cell_name}: cells overlap"
+    _require_none(cells_of_face > 2, message, comm)
     tagged = _gathered(facets[:, : corners.shape[1]], n, comm)
-    found, count = np.unique(tagged, axis=0, return_counts=True)
-    _refuse(count > 1, f"{kind} of {mesh} have two tags: give each of them one surface", comm)
-    strays = np.ones(len(np.unique(np.vstack([faces, found]), axis=0)) - len(faces))
-    text = f"tagged {kind} of {mesh} are not faces of its {kinds}: mesh both together"
-    _refuse(strays, text, comm)
+    tagged_faces, tags_of_face = np.unique(tagged, axis=0, return_counts=True)
+    message = f"{facet_name} of {mesh_name} have two tags: give each of them one surface"
+    _require_none(tags_of_face > 1, message, comm)
+    n_all = len(np.unique(np.vstack([faces, tagged_faces]), axis=0))
+    message = (
+        f"tagged {facet_name} of {mesh_name} are not faces of its {cell_name}: mesh both together"
+    )
+    _require_zero(n_all - len(faces), message, comm)
 
 
-def check_cells(mesh: object, wall: Wall, *, alike: bool) -> None:
-    """Require cells with a volume, not turned inside out, and all or none of them mirrored.
+def check_cells(mesh_name: object, wall: Wall, *, same_orientation: bool) -> None:
+    """Check that cells have a volume and are not inverted. Collective.
 
-    That is asked for if ``alike``. Collective.
+    Args:
+        mesh_name: Name of the mesh for messages, such as its path.
+        wall: The wall.
+        same_orientation: Whether the nodes of all cells have to be numbered alike: all or none of
+            the cells are mirrored. ``write_wall`` may change the order of nodes.
+
+    Raises:
+        ValueError: Something is wrong. On all processes.
     """
-    comm, n = wall.mesh.comm, wall.mesh.topology.index_map(3).size_local
+    comm = wall.mesh.comm
+    n = wall.mesh.topology.index_map(3).size_local
     cells = compat.geometry_dofmap(wall.mesh)[:n]
-    side, flat = orientations(np.asarray(wall.mesh.geometry.x, dtype=np.float64), cells)
-    words = f"{_words(cells)[0]} of {mesh}"
-    _refuse(flat, f"{words} have no volume: improve the mesh", comm)
-    mirrored = comm.allreduce(int(np.sum(side == -1))), comm.allreduce(int(np.sum(side == 1)))
-    wrong = side == 0 if not alike else side != (1 if mirrored[0] <= mirrored[1] else -1)
-    text = "improve the mesh, or number their nodes as in the other cells"
-    _refuse(wrong, f"{words} are inverted, in part or against the others: {text}", comm)
+    sign, is_flat = orientations(np.asarray(wall.mesh.geometry.x, dtype=np.float64), cells)
+    name = f"{_plural_names(cells)[0]} of {mesh_name}"
+    _require_none(is_flat, f"{name} have no volume: improve the mesh", comm)
+    is_wrong = sign == 0
+    if same_orientation:
+        negative = comm.allreduce(int(np.sum(sign == -1)))
+        positive = comm.allreduce(int(np.sum(sign == 1)))
+        sign_of_most = 1 if negative <= positive else -1
+        is_wrong = sign != sign_of_most
+    remedy = "improve the mesh, or number their nodes as in the other cells"
+    message = f"{name} are inverted, in part or against the others: {remedy}"
+    _require_none(is_wrong, message, comm)
 
 
 def orientations(points: Array, cells: Integers) -> tuple[Numbers, Mask]:
-    """Return the sign of det ∂x/∂X in each cell, 0 where it changes, and which have no volume."""
-    kind, order, _ = CELLS[cells.shape[1]]
-    cell = getattr(basix.CellType, kind)
+    """Return the orientations of cells, and which cells have no volume.
+
+    Args:
+        points: Coordinates, (n, 3).
+        cells: Nodes of the cells, (cells, nodes).
+
+    Returns:
+        The sign of det ∂x/∂ξ in each cell, 0 if it changes in the cell, (cells,); and a mask of the
+        cells without volume, (cells,).
+    """
+    kind = CELLS[cells.shape[1]]
+    cell = getattr(basix.CellType, kind.shape)
     variant = basix.LagrangeVariant.equispaced
-    element = basix.create_element(basix.ElementFamily.P, cell, order, variant)
-    degree = 0 if (kind, order) == ("tetrahedron", 1) else 4
-    at, weights = (np.asarray(part, np.float64) for part in basix.make_quadrature(cell, degree))
-    dφ = np.asarray(element.tabulate(1, at), np.float64)[1:, :, :, 0]  # (3, points, nodes)
-    side, flat = np.zeros(len(cells), dtype=np.int64), np.zeros(len(cells), dtype=bool)
-    for k in range(0, len(cells), MANY):
-        x, part = points[cells[k : k + MANY]], slice(k, k + MANY)
-        det = np.linalg.det(np.einsum("jqn,cni->cqij", dφ, x))  # det ∂x/∂X, (cells, points)
-        side[part] = (det > 0.0).all(axis=1) * 1 - (det < 0.0).all(axis=1)
-        flat[part] = np.abs(det @ weights) <= FLAT * np.ptp(x, axis=1).max(axis=1) ** 3
-    return side, flat
+    element = basix.create_element(basix.ElementFamily.P, cell, kind.order, variant)
+    is_affine = kind.shape == "tetrahedron" and kind.order == 1
+    rule = basix.make_quadrature(cell, 0 if is_affine else ORIENTATION_DEGREE)
+    ξ, weights = (np.asarray(part, np.float64) for part in rule)
+    dφ = np.asarray(element.tabulate(1, ξ), np.float64)[1:, :, :, 0]  # (3, points, nodes)
+    sign = np.zeros(len(cells), dtype=np.int64)
+    is_flat = np.zeros(len(cells), dtype=bool)
+    for first in range(0, len(cells), CELLS_AT_ONCE):
+        chunk = slice(first, first + CELLS_AT_ONCE)
+        x = points[cells[chunk]]
+        det = np.linalg.det(np.einsum("jqn,cni->cqij", dφ, x))  # det ∂x/∂ξ, (cells, points)
+        sign[chunk][(det > 0.0).all(axis=1)] = 1
+        sign[chunk][(det < 0.0).all(axis=1)] = -1
+        largest_extent = np.ptp(x, axis=1).max(axis=1)
+        is_flat[chunk] = np.abs(det @ weights) <= MIN_RELATIVE_VOLUME * largest_extent**3
+    return sign, is_flat
 
 
-def _words(cells: Integers) -> tuple[str, str]:
-    """Return what cells and facets are called."""
-    tetrahedra = CELLS[cells.shape[1]][0] == "tetrahedron"
-    return ("tetrahedra", "triangles") if tetrahedra else ("hexahedra", "quadrilaterals")
+def _plural_names(cells: Integers) -> tuple[str, str]:
+    """Return the plural names of cells and facets."""
+    if CELLS[cells.shape[1]].shape == "tetrahedron":
+        return "tetrahedra", "triangles"
+    return "hexahedra", "quadrilaterals"
 
 
-def _refuse(wrong: npt.ArrayLike, text: str, comm: MPI.Comm) -> None:
-    """Raise a ValueError on all processes that counts what is wrong on any of them."""
-    if count := comm.allreduce(int(np.sum(wrong))):
-        raise ValueError(f"{count} {text}")
+def _require_none(is_wrong: Mask, message: str, comm: MPI.Comm) -> None:
+    """Raise a ValueError on all processes with the number of wrong rows, if there are any."""
+    _require_zero(int(np.sum(is_wrong)), message, comm)
+
+
+def _require_zero(wrong: int, message: str, comm: MPI.Comm) -> None:
+    """Raise a ValueError on all processes with the sum of counts, if it is not zero. Collective."""
+    count = comm.allreduce(wrong)
+    if count:
+        raise ValueError(f"{count} {message}")
 
 
 def _gathered(rows: Integers, n: int, comm: MPI.Comm) -> Integers:
-    """Return sorted rows of numbers below n, those with the same least one on one process."""
+    """Return sorted rows of numbers below n. Collective.
+
+    Rows with equal smallest numbers are on one process afterwards, so that equal rows are.
+    """
     rows = np.sort(rows, axis=1)
     if comm.size == 1:
         return rows
-    place = rows[:, 0] * comm.size // n
-    return np.vstack(comm.alltoall([rows[place == rank] for rank in range(comm.size)]))
+    process = rows[:, 0] * comm.size // n
+    return np.vstack(comm.alltoall([rows[process == rank] for rank in range(comm.size)]))

@@ -1,24 +1,28 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Directions of the collagen fibres from two Laplace problems and an angle.
+r"""Directions of the collagen fibres from two Laplace problems and an angle.
 
-In each cell the orthonormal, right-handed frame is (after Bayer et al. 2012)::
+Two potentials, with zero flux through all other surfaces, are
 
-    ê₂ = ∇t / |∇t|            Δt = 0,  t = 0 on the lumen, 1 on the outer wall      transmural,
-    ê₁ ∥ ∇l − (∇l·ê₂) ê₂      Δl = 0,  l = 0 on the inlet, 1 on the other openings  longitudinal,
-    ê₀ = ê₁ × ê₂                                                                    circumferential,
+- t, through the wall: 0 on the lumen, 1 on the outer wall,
+- l, along the wall: 0 on the inlet, 1 on the other openings.
 
-with zero flux elsewhere; in a tube along z it is (e_θ, e_z, e_r). The two families lie at ±α,
-a₀ = cos α ê₀ ± sin α ê₁ (eq. 55, Augustin_eq:rotation, but for its orthogonal families:
-``docs/equations.md``). The potentials are P2, their gradients taken at the centroids.
+In each cell the orthonormal, right-handed frame is (after Bayer et al. 2012)
+
+.. math:: \hat e_2 = \frac{∇t}{|∇t|}, \qquad
+    \hat e_1 = \frac{∇l - (∇l·\hat e_2)\, \hat e_2}{|∇l - (∇l·\hat e_2)\, \hat e_2|}, \qquad
+    \hat e_0 = \hat e_1 × \hat e_2 ,
+
+transmural, longitudinal and circumferential; in a tube along z it is (e_r, e_z, e_θ). The two
+families have the directions cos α ê₀ ± sin α ê₁. (Those of eq. 55 of the paper are orthogonal:
+``docs/equations.md``.) The potentials are P2; their gradients are those at the centroids.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from petsc4py import PETSc
 
@@ -28,7 +32,7 @@ import dolfinx
 import dolfinx.fem.petsc
 import ufl
 
-from dolfinx_feti.mechanics.values import typed
+from dolfinx_feti.mechanics.values import require_type
 from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.runtime.compat import interpolation_points
 from dolfinx_feti.runtime.events import event
@@ -37,11 +41,11 @@ from dolfinx_feti.wall.wall import Wall, area, by_layer, facets, openings
 
 __all__ = ["ANGLES", "Frame", "fibre_families", "fibre_frame", "frame_of", "potentials"]
 
-#: Of PETSc's options.
+#: Prefix of PETSc's options.
 PREFIX = "fibres_"
 
-# Solved to rounding, so that a nearly flat potential (in a sac) has a consistent direction.
-# Without couplings below the threshold in its aggregates GAMG takes two thirds of the time.
+#: Options of the first solver. It solves to rounding accuracy, so that a potential that is nearly
+#: constant, as in a sac, has a gradient. The threshold saves a third of the time of GAMG.
 OPTIONS: dict[str, object] = {
     "ksp_type": "cg",
     "ksp_rtol": 1e-14,
@@ -50,34 +54,48 @@ OPTIONS: dict[str, object] = {
     "pc_gamg_threshold": 0.03,
 }
 
-# Where that fails, as it does on meshes with slivers.
-DIRECT: dict[str, object] = {
+#: Options of the second solver, if the first one fails, as on meshes with slivers.
+DIRECT_OPTIONS: dict[str, object] = {
     "ksp_type": "preonly",
     "pc_type": "cholesky",
     "pc_factor_mat_solver_type": "mumps",
 }
 
-# Angle from the circumferential direction, in degrees (Holzapfel, Gasser, Ogden 2000).
+#: Angle α of the fibres in each layer [degrees] (Holzapfel, Gasser, Ogden 2000).
 ANGLES = {"media": 29.0, "adventitia": 62.0}
 
-# Below this fraction of the mean a gradient has no reliable direction (at stagnation points).
-WEAK = 2e-3
+#: Length of a gradient over its mean in the wall, below which the direction comes from the cells
+#: around, as at stagnation points. A choice that was not measured.
+MIN_GRADIENT = 2e-3
 
-# Relative difference below which two openings have the same area.
-SAME_AREA = 1e-9
+#: Length of a mean of unit vectors below which they cancel, and the mean has no direction. A choice
+#: that was not measured; the mean of nearly parallel vectors has a length of about one.
+MIN_MEAN_LENGTH = 1e-3
+
+#: Relative difference below which two openings have the same area: a rounding margin.
+AREA_RTOL = 1e-9
 
 
 def solve_laplace(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Function:
-    """Solve Δu = 0 with values on some surfaces, by name, and zero flux through the others (P2).
+    """Solve Δu = 0 with values on surfaces and zero flux through all others (P2). Collective.
 
-    CG with GAMG solves to 1e-14, and MUMPS what that does not; PETSc's options with the prefix
-    ``fibres_`` prevail. What neither solves is an ArithmeticError. Collective.
+    The solver is CG with GAMG, to 1e-14, and MUMPS if it fails. PETSc's options with the prefix
+    ``fibres_`` override both.
+
+    Args:
+        wall: The wall.
+        values: The value on each surface, by name.
+
+    Raises:
+        ArithmeticError: Both solvers fail.
     """
     V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 2))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    u = ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
     scalar = dolfinx.default_scalar_type
     a = dolfinx.fem.form(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx)
-    L = dolfinx.fem.form(dolfinx.fem.Constant(wall.mesh, scalar(0)) * v * ufl.dx)
+    zero = dolfinx.fem.Constant(wall.mesh, scalar(0))  # dolfinx needs a right-hand side for lifting
+    L = dolfinx.fem.form(zero * v * ufl.dx)
     dofs = {name: dolfinx.fem.locate_dofs_topological(V, 2, facets(wall, name)) for name in values}
     bcs = [dolfinx.fem.dirichletbc(scalar(t), dofs[name], V) for name, t in values.items()]
     A = dolfinx.fem.petsc.assemble_matrix(a, bcs=bcs)
@@ -86,28 +104,42 @@ def solve_laplace(wall: Wall, values: Mapping[str, float]) -> dolfinx.fem.Functi
     dolfinx.fem.petsc.apply_lifting(b, [a], [bcs])
     b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     dolfinx.fem.petsc.set_bc(b, bcs)
-    x, solution = A.createVecRight(), dolfinx.fem.Function(V)
+    x = A.createVecRight()
+    solution = dolfinx.fem.Function(V)
     try:
-        if not any((reason := _solve(A, b, x, options)) > 0 for options in (OPTIONS, DIRECT)):
+        reason = _solve(A, b, x, OPTIONS)
+        if reason <= 0:
+            reason = _solve(A, b, x, DIRECT_OPTIONS)
+        if reason <= 0:
             raise ArithmeticError(
-                f"A Laplace problem for the fibres was not solved (reason {reason}): every part of "
-                f"the wall has to touch an opening; -{PREFIX}ksp_type chooses another solver"
+                f"A Laplace problem for the fibres was not solved (reason {reason}). If a "
+                "part of the wall touches neither of two surfaces with values, it is singular: "
+                f"check the tags. Otherwise choose another solver by -{PREFIX}ksp_type"
             )
         solution.x.array[: x.getLocalSize()] = x.array_r
     finally:
-        for owned in (A, b, x):
-            owned.destroy()
+        for petsc_object in (A, b, x):
+            petsc_object.destroy()
     solution.x.scatter_forward()
     return solution
 
 
 def _solve(A: PETSc.Mat, b: PETSc.Vec, x: PETSc.Vec, options: Mapping[str, object]) -> int:
-    """Solve A x = b with the options, behind the user's; return PETSc's reason."""
-    ksp, users = PETSc.KSP().create(A.comm), PETSc.Options(PREFIX)
+    """Solve A x = b; return PETSc's converged reason.
+
+    Args:
+        A: Matrix.
+        b: Right-hand side.
+        x: The solution.
+        options: Options of the solver; those of the user override them.
+    """
+    ksp = PETSc.KSP().create(A.comm)
+    of_user = PETSc.Options(PREFIX)
+    defaults = {key: value for key, value in options.items() if not of_user.hasName(key)}
     try:
         ksp.setOptionsPrefix(PREFIX)
         ksp.setOperators(A)
-        with inserted(PREFIX, {k: v for k, v in options.items() if not users.hasName(k)}):
+        with inserted(PREFIX, defaults):
             ksp.setFromOptions()
             ksp.solve(b, x)
         return int(ksp.getConvergedReason())
@@ -134,14 +166,32 @@ class Frame:
     transmural: dolfinx.fem.Function
 
 
-@typed
 @event("WallFibres")
-def fibre_frame(wall: Wall, **surfaces: Any) -> Frame:
-    """Return the frame of a wall, whose surfaces are named as in :func:`potentials`. Collective."""
-    return frame_of(wall, *potentials(wall, **surfaces))
+def fibre_frame(
+    wall: Wall,
+    *,
+    inner: str = "lumen",
+    outer: str = "outer",
+    ends: Sequence[str] | None = None,
+    inlet: str | None = None,
+) -> Frame:
+    """Return the frame of a wall. Collective.
+
+    Args:
+        wall: The wall, with at least two openings.
+        inner: The surface at t = 0.
+        outer: The surface at t = 1.
+        ends: The openings; those named `opening_…` if not given.
+        inlet: The opening at l = 0; the one with the largest area if not given.
+
+    Raises:
+        ValueError: There are fewer than two openings, or there is no such surface or inlet.
+        ArithmeticError: A Laplace problem was not solved, or cells have no direction.
+    """
+    through, along = potentials(wall, inner=inner, outer=outer, ends=ends, inlet=inlet)
+    return frame_of(wall, through, along)
 
 
-@typed
 def potentials(
     wall: Wall,
     *,
@@ -156,20 +206,22 @@ def potentials(
 
     Args:
         wall: The wall, with at least two openings.
-        inner: The surface from which the transmural direction leads.
-        outer: That to which it leads.
-        ends: The surfaces where the vessel was cut; None for those named `opening_…`.
-        inlet: The opening where the vessel begins; None for the one with the largest area (the
-            first of equal ones).
+        inner: The surface at t = 0.
+        outer: The surface at t = 1.
+        ends: The openings; those named `opening_…` if not given.
+        inlet: The opening at l = 0; the one with the largest area if not given, the first of equal
+            ones.
 
     Raises:
         ValueError: There are fewer than two openings, or there is no such surface or inlet.
         ArithmeticError: A Laplace problem was not solved.
     """
+    require_type(Wall, wall=wall)
     names = openings(wall) if ends is None else list(ends)
-    for name in (given := [inner, outer, *names]):
-        facets(wall, name)  # must be there
-    if len(set(given)) < len(given):
+    surfaces = [inner, outer, *names]
+    for name in surfaces:
+        facets(wall, name)  # raises an error if it does not exist
+    if len(set(surfaces)) < len(surfaces):
         raise ValueError(f"inner={inner!r}, outer={outer!r} and ends={names} name a surface twice")
     if len(names) < 2:
         raise ValueError(
@@ -178,20 +230,26 @@ def potentials(
         )
     if inlet is None:
         areas = np.array([area(wall, name) for name in names])
-        inlet = names[int(np.argmax(areas >= (1.0 - SAME_AREA) * areas.max()))]
+        inlet = names[int(np.argmax(areas >= (1.0 - AREA_RTOL) * areas.max()))]
     if inlet not in names:
         raise ValueError(f"inlet={inlet!r} is not an opening; choose one of {', '.join(names)}")
     through = solve_laplace(wall, {inner: 0.0, outer: 1.0})
     return through, solve_laplace(wall, {name: float(name != inlet) for name in names})
 
 
-@typed
 def frame_of(wall: Wall, through: dolfinx.fem.Function, along: dolfinx.fem.Function) -> Frame:
-    """Return the frame of the two potentials t and l on the mesh as it is. Collective.
+    """Return the frame of the two potentials on the current mesh. Collective.
 
-    Cells that are left without a direction are an ArithmeticError.
+    Args:
+        wall: The wall.
+        through: The potential t.
+        along: The potential l.
+
+    Raises:
+        ArithmeticError: Cells have no direction.
     """
-    grad_t, grad_l = gradient(through), gradient(along)
+    grad_t = gradient(through)
+    grad_l = gradient(along)
     e2 = _unit_directions(wall, grad_t, np.zeros_like(grad_t))
     e1 = _unit_directions(wall, grad_l, e2)
     W = dolfinx.fem.functionspace(wall.mesh, ("DG", 0, (3,)))
@@ -200,77 +258,120 @@ def frame_of(wall: Wall, through: dolfinx.fem.Function, along: dolfinx.fem.Funct
     return Frame(**{name: _function(W, e, name) for name, e in directions.items()})
 
 
-@typed
 def fibre_families(
     wall: Wall, frame: Frame, angles: Mapping[str, float] | None = None
 ) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:
     """Return the directions of the two fibre families, cos α ê₀ ± sin α ê₁.
 
-    ``angles`` are α for each layer [degrees]; those of :data:`ANGLES` if not given. A layer without
-    an angle, or with one that is not finite, is a ValueError.
+    Args:
+        wall: The wall.
+        frame: Its frame, from :func:`fibre_frame`.
+        angles: α of each layer [degrees]; those of :data:`ANGLES` if not given.
+
+    Raises:
+        ValueError: A layer has no angle, or one that is not finite.
     """
     if angles is None:
         angles = {name: angle for name, angle in ANGLES.items() if name in wall.layers}
     α = np.deg2rad(by_layer(wall, angles).x.array)[:, None]
     W = frame.circumferential.function_space
-    e0, e1 = (f.x.array.reshape(-1, 3) for f in (frame.circumferential, frame.longitudinal))
-    a0, a1 = np.cos(α) * e0, np.sin(α) * e1
-    return _function(W, a0 + a1, "fibres_1"), _function(W, a0 - a1, "fibres_2")
+    e0 = frame.circumferential.x.array.reshape(-1, 3)
+    e1 = frame.longitudinal.x.array.reshape(-1, 3)
+    around = np.cos(α) * e0
+    along = np.sin(α) * e1
+    first = _function(W, around + along, "fibres_1")
+    second = _function(W, around - along, "fibres_2")
+    return first, second
 
 
 def _unit_directions(wall: Wall, along: Array, normal: Array) -> Array:
-    """Return unit vectors along gradients, orthogonal to unit normals or to zero, (cells, 3).
+    """Return unit vectors along gradients, orthogonal to normals, (cells, 3). Collective.
 
-    Where a gradient, or its orthogonal part, is too weak, the direction is the mean of those at the
-    cell's vertices, again and again until every cell has one, whatever the number of processes.
+    If a gradient, or its orthogonal part, is too small, the direction is the mean over the cells at
+    the cell's vertices that have one. This is repeated until every cell has a direction; the result
+    does not depend on the number of processes.
+
+    Args:
+        wall: The wall.
+        along: Gradients, (cells, 3).
+        normal: Unit normals, or zero for no condition, (cells, 3).
+
+    Raises:
+        ArithmeticError: Cells have no direction.
     """
-    comm, n_owned = wall.mesh.comm, wall.mesh.topology.index_map(3).size_local
-    weak = WEAK * cell_mean(wall, np.linalg.norm(along, axis=1))
-    e, known = _unit(along, normal, weak)
-    left, before = comm.allreduce(int(np.sum(~known[:n_owned]))), -1
-    while left:
-        if left == before:
+    comm = wall.mesh.comm
+    n_owned = wall.mesh.topology.index_map(3).size_local
+    shortest = MIN_GRADIENT * cell_mean(wall, np.linalg.norm(along, axis=1))
+    e, has_direction = _unit(along, normal, shortest)
+    missing = comm.allreduce(int(np.sum(~has_direction[:n_owned])))
+    missing_before = -1
+    while missing:
+        if missing == missing_before:
             raise ArithmeticError(
-                f"{left} cells of the wall have no direction: check that lumen, outer and the "
+                f"{missing} cells of the wall have no direction: check that lumen, outer and the "
                 "openings are tagged correctly"
             )
-        mean, strong = _unit(_around(wall, e), normal, 1e-3)
-        e = np.where(known[:, None], e, mean)
-        known |= strong
-        before, left = left, comm.allreduce(int(np.sum(~known[:n_owned])))
+        mean, has_mean = _unit(_around(wall, e), normal, MIN_MEAN_LENGTH)
+        e = np.where(has_direction[:, None], e, mean)
+        has_direction |= has_mean
+        missing_before = missing
+        missing = comm.allreduce(int(np.sum(~has_direction[:n_owned])))
     return e
 
 
-def _unit(v: Array, normal: Array, least: float) -> tuple[Array, Mask]:
-    """Normalise orthogonal parts longer than ``least``, set others to zero; mark the former."""
+def _unit(v: Array, normal: Array, shortest: float) -> tuple[Array, Mask]:
+    """Return unit vectors along the parts of vectors that are orthogonal to normals.
+
+    Args:
+        v: Vectors, (cells, 3).
+        normal: Unit normals, or zero for no condition, (cells, 3).
+        shortest: Length up to which an orthogonal part has no direction.
+
+    Returns:
+        Unit vectors, zero without a direction, (cells, 3), and a mask of those with one, (cells,).
+    """
     v = v - np.sum(v * normal, axis=1, keepdims=True) * normal
     length = np.linalg.norm(v, axis=1)
-    long = length > least
-    return np.where(long, 1 / np.where(long, length, 1), 0.0)[:, None] * v, long
+    is_long = length > shortest
+    inverse = np.where(is_long, 1 / np.where(is_long, length, 1), 0.0)
+    return inverse[:, None] * v, is_long
 
 
 def _around(wall: Wall, e: Array) -> Array:
-    """Average vectors over the cells at each vertex, then over the vertices of each cell."""
+    """Average vectors over the cells at each vertex, then over the vertices of each cell.
+
+    Vertices without a vector in their cells count as zero. Collective.
+
+    Args:
+        wall: The wall.
+        e: Unit vectors, zero for a cell without one, (cells, 3).
+
+    Returns:
+        The means, (cells, 3).
+    """
     V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 1, (4,)))
-    sums = dolfinx.fem.Function(V)
+    sums = dolfinx.fem.Function(V)  # three components of the sum, and the number of vectors
     n_owned = wall.mesh.topology.index_map(3).size_local
-    vertices, at_vertex = V.dofmap.list, sums.x.array.reshape(-1, 4)
-    counted = np.column_stack([e, np.linalg.norm(e, axis=1)])
-    np.add.at(at_vertex, vertices[:n_owned], counted[:n_owned, None])
+    vertices = V.dofmap.list
+    at_vertex = sums.x.array.reshape(-1, 4)
+    with_count = np.column_stack([e, np.linalg.norm(e, axis=1)])
+    np.add.at(at_vertex, vertices[:n_owned], with_count[:n_owned, None])
     sums.x.scatter_reverse(dolfinx.la.InsertMode.add)
     sums.x.scatter_forward()
-    means = at_vertex[:, :3] / np.maximum(at_vertex[:, 3:], 1)
+    count = np.maximum(at_vertex[:, 3:], 1)  # a sum of no vectors is zero, over one as well
+    means = at_vertex[:, :3] / count
     return np.asarray(means[vertices].mean(axis=1))
 
 
 def cell_mean(wall: Wall, values: Array) -> float:
-    """Return the mean over the owned cells of all processes."""
-    own = values[: wall.mesh.topology.index_map(3).size_local]
-    total, count = wall.mesh.comm.allreduce(np.array([own.sum(), len(own)]))
+    """Return the mean of values of cells, (cells,), over the wall. Collective."""
+    owned = values[: wall.mesh.topology.index_map(3).size_local]
+    total, count = wall.mesh.comm.allreduce(np.array([owned.sum(), len(owned)]))
     return float(total / count)
 
 
 def _function(W: dolfinx.fem.FunctionSpace, values: Array, name: str) -> dolfinx.fem.Function:
+    """Create a function with the values of all local dofs."""
     f = dolfinx.fem.Function(W, name=name)
     f.x.array[:] = values.ravel()
     return f

@@ -10,10 +10,8 @@ Usual names are the layers `media` and `adventitia`, and the surfaces `lumen` (u
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from numbers import Integral
-from typing import TypeAlias
 
 from mpi4py import MPI
 
@@ -22,22 +20,22 @@ import numpy as np
 import dolfinx
 import ufl
 
-from dolfinx_feti.mechanics.values import require_finite
+from dolfinx_feti.mechanics.values import require_finite, require_type
 from dolfinx_feti.runtime.arrays import Array, Indices
-from dolfinx_feti.runtime.collective import bounds, on_all
+from dolfinx_feti.runtime.collective import bounding_box, on_all
+from dolfinx_feti.wall.names import Group, Groups, checked_groups, named_tags
 
 __all__ = ["Wall", "area", "by_layer", "create_wall", "facets", "openings", "surface_measure"]
 
+#: Names of the axes; an axis number is an index in this text.
 AXES = "xyz"
 
-#: Dimension and tag of each name.
-Groups: TypeAlias = Mapping[str, tuple[int, int]]
+#: First part of the names of openings; a number follows.
+OPENING_PREFIX = "opening_"
 
-#: Name, dimension and tag.
-Group: TypeAlias = tuple[str, int, int]
-
-#: How far a plane surface may reach out of its plane, relative to the extent of the wall.
-OUT_OF_PLANE = 1e-7
+#: Thickness of a plane surface over the extent of the wall, up to which it is plane. Coordinates
+#: that were written in single precision have relative errors of 6e-8.
+PLANE_RTOL = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +50,10 @@ class Wall:
 
     def __post_init__(self) -> None:
         """Check mesh and tags."""
-        cell, dim = self.mesh.topology.cell_name(), self.mesh.geometry.dim
+        require_type(dolfinx.mesh.Mesh, mesh=self.mesh)
+        require_type(dolfinx.mesh.MeshTags, cell_tags=self.cell_tags, facet_tags=self.facet_tags)
+        cell = self.mesh.topology.cell_name()
+        dim = self.mesh.geometry.dim
         if cell not in ("tetrahedron", "hexahedron") or dim != 3:
             raise ValueError(
                 f"mesh has cells of type {cell} in {dim} dimensions, but a wall has tetrahedra or "
@@ -71,7 +72,7 @@ class Wall:
 
     @property
     def names(self) -> dict[str, int]:
-        """The tags of all layers and surfaces."""
+        """The tags of all layers and surfaces; a layer hides a surface of the same name."""
         return self.surfaces | self.layers
 
 
@@ -81,27 +82,28 @@ def create_wall(
     facet_tags: dolfinx.mesh.MeshTags,
     names: Groups | None = None,
 ) -> Wall:
-    """Make a wall of a mesh and its tags. Collective.
+    """Create a wall from a mesh and its tags. Collective.
 
     Args:
         mesh: Tetrahedra or hexahedra [mm].
         cell_tags: The layer of each cell; None for one layer, called ``wall``.
-        facet_tags: Surfaces.
-        names: Dimension and tag of each name, such as ``{"lumen": (2, 3), "media": (3, 1)}``, from
-            the first process that has any. Other tags are called ``layer_7`` and ``surface_7``; a 0
-            without a name counts as no tag.
+        facet_tags: The surface of each tagged facet.
+        names: Dimension and tag of each name, such as ``{"lumen": (2, 3), "media": (3, 1)}``. The
+            first process that has names decides for all. Other tags are called ``layer_7`` and
+            ``surface_7``; the tag 0 marks nothing unless it has a name.
 
     Raises:
-        TypeError: An argument is no mesh, no tags, or no names.
+        TypeError: An argument has another type.
         ValueError: Tags are of another dimension or mesh, a cell has none, or no facet has one. On
             all processes.
     """
+    require_type(dolfinx.mesh.Mesh, mesh=mesh)
     cells = _one_layer(mesh) if cell_tags is None else cell_tags
-    wall = Wall(mesh, cells, facet_tags, layers={}, surfaces={})  # checks them
-    for dim in (0, 3):
+    wall = Wall(mesh, cells, facet_tags, layers={}, surfaces={})  # checks mesh and tags
+    for dim in (0, 3):  # to find the nodes of facets, and the facets of the boundary
         mesh.topology.create_connectivity(2, dim)
-    known = mesh.comm.allgather(on_all(lambda: checked_groups(names or {}), mesh.comm))
-    groups: list[Group] = next((found for found in known if found), [])
+    groups_of_all = mesh.comm.allgather(on_all(lambda: checked_groups(names or {}), mesh.comm))
+    groups: list[Group] = next((groups for groups in groups_of_all if groups), [])
     if cell_tags is None:
         groups = [("wall", 3, 1), *(group for group in groups if group[1] != 3)]
     layers = _named(groups, cells, mesh.comm)
@@ -124,7 +126,13 @@ def _one_layer(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.MeshTags:
 
 
 def _named(groups: list[Group], tags: dolfinx.mesh.MeshTags, comm: MPI.Comm) -> dict[str, int]:
-    """Return the names of all tags that occur, but for 0. Collective."""
+    """Return the names of all tags that occur on any process. Collective.
+
+    Args:
+        groups: Names with dimension and tag.
+        tags: The tags.
+        comm: Communicator of the mesh.
+    """
     present = {int(tag) for part in comm.allgather(np.unique(tags.values)) for tag in part}
     return named_tags(
         {name: tag for name, dim, tag in groups if dim == tags.dim}, present, tags.dim
@@ -132,41 +140,32 @@ def _named(groups: list[Group], tags: dolfinx.mesh.MeshTags, comm: MPI.Comm) -> 
 
 
 def facets(wall: Wall, name: str) -> Indices:
-    """Return the local facets of a surface; a ValueError if the wall has none of this name."""
+    """Return the facets of a surface on this process, ghosts included, (n,).
+
+    Raises:
+        ValueError: The wall has no surface of this name.
+    """
     if name not in wall.surfaces:
         raise ValueError(f"The wall has no surface {name!r}; it has {', '.join(wall.surfaces)}")
     return np.asarray(wall.facet_tags.find(wall.surfaces[name]))
 
 
-def named_tags(names: Mapping[str, int], tags: Iterable[int], dim: int) -> dict[str, int]:
-    """Name the tags that occur, but for a nameless 0: as given, or ``layer_7``, ``surface_7``."""
-    present = {int(tag) for tag in tags}
-    named = {name: tag for name, tag in names.items() if tag in present}
-    kind = "layer" if dim == 3 else "surface"
-    return named | {f"{kind}_{tag}": tag for tag in sorted(present - {0, *named.values()})}
-
-
-def checked_groups(names: Groups) -> list[Group]:
-    """Return name, dimension and tag of each group, or raise a ValueError."""
-    for name, pair in names.items():
-        numbers = [isinstance(n, Integral) for n in pair] if isinstance(pair, Sequence) else []
-        if numbers != [True, True]:
-            raise ValueError(
-                f"names[{name!r}] is {pair!r}: give the dimension and the tag, (2, 3) for facets "
-                "tagged 3."
-            )
-    return [(name, *pair) for name, pair in names.items() if name]
-
-
 def openings(wall: Wall) -> list[str]:
     """Return the names of the openings, `opening_2` before `opening_10`."""
-    names = [name for name in wall.surfaces if name.startswith("opening_")]
-    return sorted(names, key=lambda n: (int(n[8:]) if n[8:].isdecimal() else math.inf, n))
+    return sorted(
+        (name for name in wall.surfaces if name.startswith(OPENING_PREFIX)), key=_opening_order
+    )
+
+
+def _opening_order(name: str) -> tuple[float, str]:
+    """Return a key that sorts openings by their number; those without a number are last."""
+    number = name.removeprefix(OPENING_PREFIX)
+    return (int(number) if number.isdecimal() else math.inf), name
 
 
 def area(wall: Wall, name: str) -> float:
     """Return the area of a surface [mm²]. Collective."""
-    facets(wall, name)  # must be there
+    facets(wall, name)  # raises an error if it does not exist
     one = dolfinx.fem.Constant(wall.mesh, np.float64(1.0))
     ds = surface_measure(wall)(wall.surfaces[name])
     form = on_all(lambda: dolfinx.fem.form(one * ds), wall.mesh.comm)
@@ -174,33 +173,43 @@ def area(wall: Wall, name: str) -> float:
 
 
 def extent(mesh: dolfinx.mesh.Mesh) -> tuple[Array, Array]:
-    """Return the least and the greatest coordinates of a mesh [mm], (3,) each. Collective."""
-    return bounds(mesh.geometry.x, mesh.comm)
+    """Return the lower and upper corner of the box around a mesh [mm], (3,) each. Collective."""
+    return bounding_box(mesh.geometry.x, mesh.comm)
 
 
 def plane(wall: Wall, name: str) -> tuple[int, float]:
-    """Return the axis normal to a plane surface, and its coordinate there [mm]. Collective.
+    """Return the number of the axis normal to a plane surface, and the coordinate of the plane.
+
+    Args:
+        wall: The wall.
+        name: The surface.
+
+    Returns:
+        The number, 0 to 2, and the coordinate [mm].
 
     Raises:
         ValueError: The wall has no such surface, or it lies in no plane normal to x, y or z.
+
+    Note:
+        Collective.
     """
-    low, high = extent(wall.mesh)
+    lower, upper = extent(wall.mesh)
     entities = facets(wall, name)
     x: Array = np.zeros((0, 3))
     if len(entities):  # dolfinx 0.9 divides by their number
         nodes = dolfinx.mesh.entities_to_geometry(wall.mesh, 2, entities)
         x = np.asarray(wall.mesh.geometry.x[nodes.ravel()], dtype=np.float64)
-    below, above = bounds(x, wall.mesh.comm)
-    thick = above - below
-    k = int(np.argmin(thick))
-    if not 0.0 <= thick[k] <= OUT_OF_PLANE * np.linalg.norm(high - low):
-        sizes = " × ".join(f"{size:.3g}" for size in thick)
+    lower_of_surface, upper_of_surface = bounding_box(x, wall.mesh.comm)
+    extents = upper_of_surface - lower_of_surface
+    axis = int(np.argmin(extents))
+    if not 0.0 <= extents[axis] <= PLANE_RTOL * np.linalg.norm(upper - lower):
+        sizes = " × ".join(f"{size:.3g}" for size in extents)
         raise ValueError(
             f"The surface {name!r} lies in no plane normal to x, y or z (it extends over {sizes} "
             "mm), as it has to where it slides: turn the mesh, or give the surface stiff springs "
             "along its normal"
         )
-    return k, float((below[k] + above[k]) / 2.0)
+    return axis, float((lower_of_surface[axis] + upper_of_surface[axis]) / 2.0)
 
 
 def surface_measure(wall: Wall) -> ufl.Measure:

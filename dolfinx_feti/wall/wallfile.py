@@ -1,17 +1,27 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Walls from files, of any format, distributed to all processes.
+"""Walls from files of several formats, distributed to all processes.
 
-Cells are tetrahedra; in a Gmsh file also hexahedra, or cells of second order. It names layers and
-surfaces by its physical groups, other formats number them in cell data (``meshes/README.md``).
+=============  =====================================  ==========================================
+file           cells                                  names of layers and surfaces
+=============  =====================================  ==========================================
+``*.xdmf``     all; written by ``write_wall``         those of the wall
+``*.msh``      tetrahedra, hexahedra; order 1 or 2    physical groups of Gmsh
+other          tetrahedra of order 1, by meshio       numbers in cell data (meshes/README.md)
+=============  =====================================  ==========================================
+
 PETSc's log shows the phases ``WallRead``, ``WallPartition`` and ``WallTags``.
+
+Gmsh files are not read by ``dolfinx.io.gmsh``, which in dolfinx 0.9 to 0.11 fails with a bare
+AssertionError if node numbers have gaps, and ignores cells without a group or in two of them.
 """
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -28,23 +38,45 @@ import ufl
 
 from dolfinx_feti.mechanics.values import require_positive
 from dolfinx_feti.runtime.arrays import Array, Numbers
-from dolfinx_feti.runtime.collective import on_first
+from dolfinx_feti.runtime.collective import on_root
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.scotch import repeatable_partitions
 from dolfinx_feti.wall.checks import CELLS, check_cells, check_faces, check_rows
-from dolfinx_feti.wall.wall import Group, Groups, Wall, checked_groups, named_tags
-from dolfinx_feti.wall.xdmf import is_parallel, read_parallel
+from dolfinx_feti.wall.names import Groups, checked_groups, merged_names, named_tags, names_of_tags
+from dolfinx_feti.wall.wall import Wall
+from dolfinx_feti.wall.xdmf import is_written_by_write_wall, read_parallel
 
 __all__ = ["RawWall", "distribute", "read_raw_wall", "read_wall"]
 
-#: What a facet is by the number of its nodes.
+#: Shape of a facet by its number of nodes.
 FACETS = {3: "triangle", 6: "triangle", 4: "quadrilateral", 9: "quadrilateral"}
 
+#: Names of the cell data with tags, by meshio's type of cell. Of those in a file, the first is
+#: used.
 CELL_DATA = {
     "tetra": ("layer", "gmsh:physical", "medit:ref", "tag"),
     "triangle": ("surface", "gmsh:physical", "medit:ref", "tag"),
 }
 
+#: End of the messages about names and tags.
 HELP = "meshes/README.md explains how to name layers and surfaces"
+
+#: Types of meshio with nodes on their edges.
+SECOND_ORDER = frozenset({"tetra10", "triangle6"})
+
+#: Remedy for cells of second order in a format other than Gmsh's; PATH stands for the path.
+CORNERS_ONLY = """. Cells of second order are read from Gmsh's own files (*.msh). Or keep their \
+corners: m = meshio.read("PATH"); \
+n = {"tetra10": ("tetra", 4), "triangle6": ("triangle", 3)}; \
+m = meshio.Mesh(m.points, [(n[b.type][0], b.data[:, :n[b.type][1]]) for b in m.cells], \
+cell_data=m.cell_data); m.write("wall.vtu")"""
+
+#: Remedy for sets of cells, such as Abaqus's, in place of numbers; PATH stands for the path.
+NUMBER_THE_SETS = """. Number the sets in the order of your list, from 1 on: \
+m = meshio.read("PATH"); sets = ["media", "lumen"]; m.cell_data["gmsh:physical"] = \
+[sum(k * np.isin(np.arange(len(b.data)), m.cell_sets[s][i]) for k, s in enumerate(sets, 1)) \
+for i, b in enumerate(m.cells)]; m.cell_sets = {}; m.write("wall.vtu"); then \
+read_wall("wall.vtu", comm, names={"media": (3, 1), "lumen": (2, 2)})"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,79 +96,93 @@ class RawWall:
 def read_wall(
     path: Path | str, comm: MPI.Comm, *, scale: float = 1.0, names: Groups | None = None
 ) -> Wall:
-    """Read a wall: on all processes from XDMF, on one from other formats, to be distributed.
+    """Read a wall and distribute it. All processes read XDMF; one reads any other format.
 
     Args:
         path: A file of ``write_wall`` (`*.xdmf`); a Gmsh file (`*.msh`) with named physical groups,
             or a file of another format with cell data (`meshes/README.md`).
         comm: Communicator of the mesh.
         scale: Number of millimetres in the file's unit of length (1000 if that is the metre).
-        names: Dimension and number of each name, as ``{"lumen": (2, 3), "media": (3, 1)}``, in a
-            file that has numbers only; others are called ``layer_7`` and ``surface_7``.
+        names: Dimension and number of each name, as ``{"lumen": (2, 3), "media": (3, 1)}``, for
+            files with numbers only; other numbers are called ``layer_7`` and ``surface_7``.
 
     Raises:
         FileNotFoundError: There is no such file.
         ModuleNotFoundError: gmsh or meshio is needed and not installed.
-        ValueError: The file does not hold a valid wall, or the scale is not positive.
+        ValueError: The file does not contain a valid wall, or the scale is not positive.
 
     Note:
         Collective.
     """
     require_positive(scale=scale)
     path = Path(path)
-    if on_first(lambda: path.is_file() and is_parallel(path), comm):
+    if on_root(lambda: path.is_file() and is_written_by_write_wall(path), comm):
         return read_parallel(path, comm, scale=scale)
-    read: list[RawWall] = []  # on the first process
     with event("WallRead"):
-        on_first(
-            lambda: read.append(_renamed(read_raw_wall(path), checked_groups(names or {}))), comm
-        )
-        raw = _share(read[0] if read else None, comm)
+        raw = _read_on_first(path, names or {}, comm)
         check_rows(path, raw.points, raw.cells, [raw.facets], comm)
         check_faces(path, raw.cells, raw.facets, comm)
     wall = distribute(raw, comm, scale=scale)
-    check_cells(path, wall, alike=True)
+    check_cells(path, wall, same_orientation=True)
     return wall
 
 
-def _renamed(raw: RawWall, groups: Sequence[Group]) -> RawWall:
-    """Give names to numbers, in place of those of the file."""
+def _read_on_first(path: Path, names: Groups, comm: MPI.Comm) -> RawWall:
+    """Read a wall on the first process, and return one without entities on all others. Collective.
 
-    def named(dim: int, tags: Numbers, theirs: dict[str, int]) -> dict[str, int]:
-        mine = {name: tag for name, of, tag in groups if of == dim}
-        both = {n: t for n, t in theirs.items() if t not in mine.values()} | mine
-        return {name: tag for name, tag in both.items() if np.any(tags == tag)}
+    The names of the user replace those of the file with equal tags.
+    """
+    raw: RawWall | None = None
 
-    layers = named(3, raw.layers, raw.layer_names)
-    return replace(raw, layer_names=layers, surface_names=named(2, raw.surfaces, raw.surface_names))
+    def read() -> None:  # its result is not sent to the others, as that of on_root is
+        nonlocal raw
+        groups = checked_groups(names)
+        wall = read_raw_wall(path)
+        layers = merged_names(wall.layer_names, groups, 3, wall.layers)
+        surfaces = merged_names(wall.surface_names, groups, 2, wall.surfaces)
+        raw = replace(wall, layer_names=layers, surface_names=surfaces)
+
+    on_root(read, comm)
+    return _local_part(raw, comm)
 
 
-def _share(raw: RawWall | None, comm: MPI.Comm) -> RawWall:
-    """Return what a process has of a wall, nothing but the names unless it has read it."""
-    empty = None
-    if raw is not None:
-        names = ("points", "cells", "layers", "facets", "surfaces")
-        empty = replace(raw, **{name: getattr(raw, name)[:0] for name in names})
-    none: RawWall = comm.bcast(empty, root=0)
-    return none if raw is None else raw
+def _local_part(raw: RawWall | None, comm: MPI.Comm) -> RawWall:
+    """Return the wall on the first process, and one with its names only on all others. Collective.
+
+    Args:
+        raw: The wall on the first process; not used on the others.
+        comm: Communicator.
+    """
+    without_entities: RawWall | None = None
+    if comm.rank == 0 and raw is not None:
+        arrays = ("points", "cells", "layers", "facets", "surfaces")
+        without_entities = replace(raw, **{name: getattr(raw, name)[:0] for name in arrays})
+    names_only: RawWall = comm.bcast(without_entities, root=0)
+    return raw if comm.rank == 0 and raw is not None else names_only
 
 
 def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
-    """Create the distributed mesh and its tags of a wall that the first process has. Collective.
+    """Create the distributed mesh and the tags of a wall. Collective.
 
-    ``scale`` is the number of millimetres in the unit of its points.
+    Args:
+        raw: The wall on the first process; not used on the others.
+        comm: Communicator of the mesh.
+        scale: Number of millimetres in the unit of the points.
     """
-    raw = _share(raw, comm)
-    used, number = np.unique(raw.cells), np.full(len(raw.points), -1)
-    number[used] = np.arange(len(used))  # without the points of no cell
-    cells, facets = number[raw.cells], number[raw.facets]
-    cell, order, _ = CELLS[raw.cells.shape[1]]
-    element = basix.ufl.element("Lagrange", cell, order, shape=(3,), dtype=np.float64)
-    with event("WallPartition"):
+    raw = _local_part(raw, comm)
+    used = np.unique(raw.cells)
+    number = np.full(len(raw.points), -1)  # points of no cell have no number
+    number[used] = np.arange(len(used))
+    cells = number[raw.cells]
+    facets = number[raw.facets]
+    kind = CELLS[raw.cells.shape[1]]
+    element = basix.ufl.element("Lagrange", kind.shape, kind.order, shape=(3,), dtype=np.float64)
+    with event("WallPartition"), repeatable_partitions():
         x = scale * raw.points[used]
         mesh = dolfinx.mesh.create_mesh(comm, cells, x=x, e=ufl.Mesh(element))
     with event("WallTags"):
-        layers, surfaces = _tags(mesh, 3, cells, raw.layers), _tags(mesh, 2, facets, raw.surfaces)
+        layers = _tags(mesh, 3, cells, raw.layers)
+        surfaces = _tags(mesh, 2, facets, raw.surfaces)
     return Wall(mesh, layers, surfaces, raw.layer_names, raw.surface_names)
 
 
@@ -144,7 +190,8 @@ def _tags(
     mesh: dolfinx.mesh.Mesh, dim: int, entities: Numbers, values: Numbers
 ) -> dolfinx.mesh.MeshTags:
     """Distribute the tags of entities, each given by its points in the file."""
-    entities, values = np.ascontiguousarray(entities), values.astype(np.int32)
+    entities = np.ascontiguousarray(entities)
+    values = values.astype(np.int32)
     mesh.topology.create_entities(dim)
     local, local_values = dolfinx.io.distribute_entity_data(mesh, dim, entities, values)
     mesh.topology.create_connectivity(dim, 0)
@@ -154,71 +201,106 @@ def _tags(
 
 
 def read_raw_wall(path: Path) -> RawWall:
-    """Read a wall from a Gmsh file (`*.msh`), or one that meshio reads; each cell has a layer."""
+    """Read a wall from a Gmsh file (`*.msh`), or from another format by meshio. Serial.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ModuleNotFoundError: gmsh or meshio is needed and not installed.
+        ValueError: The file is no mesh of a wall, or layers or surfaces have no names.
+    """
     if not path.is_file():
         raise FileNotFoundError(f"There is no file {path}: give the path of a mesh of a wall")
     wall = _read_gmsh(path) if path.suffix == ".msh" else _read_meshio(path)
-    missing, texts = [], []
-    for kind, names, tags in (
-        ("layer", wall.layer_names, wall.layers),
-        ("surface", wall.surface_names, wall.surfaces),
-    ):
-        name_of = {tag: name for name, tag in names.items()}
-        present = [(name_of.get(int(tag), "nameless"), tag) for tag in np.unique(tags)]
-        listed = ", ".join(f"{name} = {tag}" for name, tag in present)
-        texts.append(f"{kind}s {listed or 'none'}")
-        missing += [f"named {kind}"] * all(name == "nameless" for name, _ in present)
-        missing += ["name for some cells"] * (kind == "layer" and "nameless" in dict(present))
+    layers = names_of_tags(wall.layer_names, wall.layers)
+    surfaces = names_of_tags(wall.surface_names, wall.surfaces)
+    missing = []
+    if all(name is None for name, _ in layers):
+        missing.append("named layer")
+    if any(name is None for name, _ in layers):
+        missing.append("name for some cells")
+    if all(name is None for name, _ in surfaces):
+        missing.append("named surface")
     if missing:
         raise ValueError(
-            f"The wall in {path} has no {', no '.join(missing)}. Found: {'; '.join(texts)}. {HELP}."
+            f"The wall in {path} has no {', no '.join(missing)}. Found: layers {_listed(layers)}; "
+            f"surfaces {_listed(surfaces)}. {HELP}."
         )
     return wall
+
+
+def _listed(names: Sequence[tuple[str | None, int]]) -> str:
+    """Return names and tags for a message."""
+    return ", ".join(f"{name or 'nameless'} = {tag}" for name, tag in names) or "none"
 
 
 def _read_gmsh(path: Path) -> RawWall:
     """Read the physical groups of a Gmsh file."""
     with _gmsh_model(path) as gmsh:
-        tags, points, _ = gmsh.model.mesh.getNodes()
+        tags, coordinates, _ = gmsh.model.mesh.getNodes()
         cells, layers, layer_names = _gmsh_groups(gmsh, path, 3)
         facets, surfaces, surface_names = _gmsh_groups(gmsh, path, 2)
-        lost = sum(map(len, gmsh.model.mesh.getElements(3)[1])) - len(cells)
-    if lost:
-        raise ValueError(f"{lost} cells of {path} are in no physical volume; {HELP}")
-    number = np.full(max(int(a.max(initial=0)) for a in (tags, cells, facets)) + 1, -1)
+        n_cells = sum(len(elements) for elements in gmsh.model.mesh.getElements(3)[1])
+    if n_cells > len(cells):
+        raise ValueError(
+            f"{n_cells - len(cells)} cells of {path} are in no physical volume; {HELP}"
+        )
+    last = max(int(numbers.max(initial=0)) for numbers in (tags, cells, facets))
+    # index of each node by Gmsh's number; −1 for a missing node, for which check_rows raises an
+    # error
+    number = np.full(last + 1, -1)
     number[tags] = np.arange(len(tags))
-    arrays = points.reshape(-1, 3), number[cells], layers, number[facets], surfaces
-    return RawWall(*arrays, layer_names, surface_names)
+    return RawWall(
+        points=coordinates.reshape(-1, 3),
+        cells=number[cells],
+        layers=layers,
+        facets=number[facets],
+        surfaces=surfaces,
+        layer_names=layer_names,
+        surface_names=surface_names,
+    )
 
 
 @contextmanager
 def _gmsh_model(path: Path) -> Iterator[ModuleType]:
-    """Open a file in a new model, and leave Gmsh as it was."""
+    """Open a file in a new model of Gmsh, and restore the state of Gmsh afterwards."""
     gmsh = _import("gmsh", path)
-    running = bool(gmsh.isInitialized())
-    if not running:
+    is_running = bool(gmsh.isInitialized())
+    if not is_running:
         gmsh.initialize(readConfigFiles=False, interruptible=False)
         gmsh.option.setNumber("General.Terminal", 0)
     gmsh.model.add(str(path))
     try:
         try:
             gmsh.merge(str(path))
-        except Exception as error:  # gmsh knows no other class
+        except Exception as error:  # gmsh raises no other class
             raise ValueError(f"gmsh cannot read {path}: {error}") from error
         yield gmsh
     finally:
         gmsh.model.remove()
-        if not running:
+        if not is_running:
             gmsh.finalize()
 
 
 def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Numbers, Numbers, dict[str, int]]:
-    """Return the elements of all physical groups of a dimension, their tags and the names' tags."""
+    """Read the elements of all physical groups of one dimension.
+
+    Args:
+        gmsh: The module gmsh, with the model as the current one.
+        path: The file, for messages.
+        dim: 3 for cells, 2 for facets.
+
+    Returns:
+        Nodes of the elements in dolfinx's order, by Gmsh's node numbers, (n, nodes); their tags,
+        (n,); and the tags of the names.
+
+    Raises:
+        ValueError: Two groups have the same name, an entity is in two groups, or elements are of a
+            type that walls do not have.
+    """
     elements: list[Numbers] = []
-    values: list[Numbers] = [np.zeros(0, dtype=np.int64)]
+    tags: list[Numbers] = [np.zeros(0, dtype=np.int64)]
     names: dict[str, int] = {}
     group_of: dict[int, str] = {}
-    kinds = {n: kind for n, (kind, *_) in CELLS.items()} if dim == 3 else FACETS
     for _, tag in gmsh.model.getPhysicalGroups(dim):
         name = gmsh.model.getPhysicalName(dim, tag)
         if name and name in names:
@@ -226,45 +308,86 @@ def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Numbers, Numbe
                 f"{path} has two physical groups of dimension {dim} that are called {name!r}: "
                 "join them, or give each a name of its own"
             )
-        names[name] = tag
+        if name:
+            names[name] = tag
+        group = name or str(tag)
         for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag):
-            group = name or str(tag)
             if group_of.setdefault(entity, group) != group:
                 raise ValueError(
                     f"{'Volume' if dim == 3 else 'Surface'} {entity} of {path} is in two physical "
                     f"groups, {group_of[entity]!r} and {group!r}: leave it in one of them"
                 )
-            for element, _, nodes in zip(*gmsh.model.mesh.getElements(dim, entity), strict=True):
-                kind, _, _, n_nodes, *_ = gmsh.model.mesh.getElementProperties(element)
-                if n_nodes not in kinds or any(n_nodes != e.shape[1] for e in elements):
-                    raise ValueError(
-                        f"{path} has elements of type {kind}; a wall has tetrahedra and triangles, "
-                        "or hexahedra and quadrilaterals, of one order, 1 or 2"
-                    )
-                order = dolfinx.cpp.io.perm_gmsh(dolfinx.mesh.to_type(kinds[n_nodes]), n_nodes)
-                elements.append(nodes.astype(np.int64).reshape(-1, n_nodes)[:, order])
-                values.append(np.full(len(elements[-1]), tag))
-    tags = np.concatenate(values)
-    names.pop("", None)
-    found = {name: tag for name, tag in names.items() if np.any(tags == tag)}
-    cells = np.concatenate(elements or [np.zeros((0, dim + 1), dtype=np.int64)])
-    return cells, tags, found if names else named_tags({}, tags, dim)
+            types, _, nodes_of_type = gmsh.model.mesh.getElements(dim, entity)
+            for element_type, nodes in zip(types, nodes_of_type, strict=True):
+                rows = _gmsh_elements(gmsh, path, dim, element_type, nodes)
+                if elements and rows.shape[1] != elements[0].shape[1]:
+                    raise _unsupported_elements(gmsh, path, element_type)
+                elements.append(rows)
+                tags.append(np.full(len(rows), tag))
+    all_elements = np.concatenate(elements or [np.zeros((0, dim + 1), dtype=np.int64)])
+    all_tags = np.concatenate(tags)
+    if not names:
+        return all_elements, all_tags, named_tags({}, all_tags, dim)
+    present = {name: tag for name, tag in names.items() if np.any(all_tags == tag)}
+    return all_elements, all_tags, present
+
+
+def _gmsh_elements(
+    gmsh: ModuleType, path: Path, dim: int, element_type: int, nodes: Numbers
+) -> Numbers:
+    """Return the nodes of elements of one type in dolfinx's order, (n, nodes).
+
+    Args:
+        gmsh: The module gmsh.
+        path: The file, for messages.
+        dim: Dimension of the elements.
+        element_type: Gmsh's number of the type.
+        nodes: Nodes of all elements, one element after the other, in Gmsh's order.
+    """
+    n_nodes = gmsh.model.mesh.getElementProperties(element_type)[3]
+    shapes = FACETS if dim == 2 else {n: kind.shape for n, kind in CELLS.items()}
+    if n_nodes not in shapes:
+        raise _unsupported_elements(gmsh, path, element_type)
+    order = dolfinx.cpp.io.perm_gmsh(dolfinx.mesh.to_type(shapes[n_nodes]), n_nodes)
+    return np.asarray(nodes.astype(np.int64).reshape(-1, n_nodes)[:, order])
+
+
+def _unsupported_elements(gmsh: ModuleType, path: Path, element_type: int) -> ValueError:
+    """Create the error about elements of a type that walls do not have, or of a second type."""
+    name = gmsh.model.mesh.getElementProperties(element_type)[0]
+    return ValueError(
+        f"{path} has elements of type {name}; a wall has tetrahedra and triangles, or hexahedra "
+        "and quadrilaterals, of one order, 1 or 2"
+    )
 
 
 def _read_meshio(path: Path) -> RawWall:
-    """Read tetrahedra and triangles from any format that meshio knows, with their cell data."""
+    """Read tetrahedra and triangles with their cell data from a format that meshio reads."""
     meshio = _import("meshio", path)
+    printed = io.StringIO()
     try:
-        mesh = meshio.read(path)
-    except (Exception, SystemExit) as error:  # each format has errors of its own
-        raise ValueError(f"meshio cannot read {path}: {error}") from error
+        with redirect_stdout(printed), redirect_stderr(printed):
+            mesh = meshio.read(path)
+    except (Exception, SystemExit) as error:  # the errors differ between formats
+        # For an unknown format meshio prints the reason and exits.
+        reason = str(error)
+        if isinstance(error, SystemExit):
+            reason = " ".join(printed.getvalue().split())
+        raise ValueError(
+            f"meshio cannot read {path}: {reason or repr(error)}. Give a file of a format and an "
+            "ending that meshio.read takes."
+        ) from error
     blocks = {"triangle": np.zeros((0, 3)), **mesh.cells_dict}
     if "tetra" not in blocks or set(blocks) - {"tetra", "triangle", "line", "vertex"}:
         present = ", ".join(sorted(mesh.cells_dict)) or "none"
-        raise ValueError(f"{path} has cells of type {present}; a wall has tetra and triangle only")
+        message = f"{path} has cells of type {present}; a wall has tetra and triangle only"
+        if not SECOND_ORDER.isdisjoint(mesh.cells_dict):
+            message += CORNERS_ONLY.replace("PATH", str(path))
+        raise ValueError(message)
     if mesh.points.ndim != 2 or mesh.points.shape[1] != 3:
         raise ValueError(f"{path} has points of shape {mesh.points.shape}: a wall lies in space")
-    layers, surfaces = (_cell_data(path, mesh, kind) for kind in ("tetra", "triangle"))
+    layers = _cell_data(path, mesh, "tetra")
+    surfaces = _cell_data(path, mesh, "triangle")
     tagged = surfaces > 0
     return RawWall(
         points=np.asarray(mesh.points, dtype=np.float64),
@@ -278,18 +401,28 @@ def _read_meshio(path: Path) -> RawWall:
 
 
 def _cell_data(path: Path, mesh: Any, kind: str) -> Numbers:
-    """Return the tags of the cells of one kind."""
+    """Return the tags of meshio's cells of one type, (n,).
+
+    Raises:
+        ValueError: The file has no cell data of :data:`CELL_DATA`, or they are not integers.
+    """
     if kind not in mesh.cells_dict:
         return np.zeros(0, dtype=np.int64)
     for name in CELL_DATA[kind]:
         if kind in mesh.cell_data_dict.get(name, {}):
             values = np.asarray(mesh.cell_data_dict[name][kind], dtype=np.float64)
-            whole = (values == np.rint(values)) & (np.abs(values) <= np.iinfo(np.int32).max)
-            if values.size != len(mesh.cells_dict[kind]) or not whole.all():
+            is_integer = (values == np.rint(values)) & (np.abs(values) <= np.iinfo(np.int32).max)
+            if values.size != len(mesh.cells_dict[kind]) or not is_integer.all():
                 raise ValueError(
                     f"{path}: the cell data {name!r} are not one integer of 32 bits for each {kind}"
                 )
             return values.astype(np.int64).reshape(-1)
+    if mesh.cell_sets:
+        sets = ", ".join(mesh.cell_sets)
+        raise ValueError(
+            f"{path} has sets of cells ({sets}), but a wall is read from numbers, the cell data "
+            f"{CELL_DATA[kind][0]}" + NUMBER_THE_SETS.replace("PATH", str(path))
+        )
     raise ValueError(
         f"{path} has no cell data {' or '.join(CELL_DATA[kind])} for its {kind} cells; "
         f"found: {', '.join(mesh.cell_data) or 'none'}. {HELP}"
@@ -297,6 +430,7 @@ def _cell_data(path: Path, mesh: Any, kind: str) -> Numbers:
 
 
 def _import(name: str, path: Path) -> ModuleType:
+    """Import an optional package; a ModuleNotFoundError with the remedy if it is missing."""
     try:
         return __import__(name)
     except ModuleNotFoundError as error:

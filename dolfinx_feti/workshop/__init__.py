@@ -14,7 +14,6 @@ In the order of the data: compiled, paths, equilibrium, response, moduli, ellipt
 report, fitting.
 """
 
-from dolfinx_feti.mechanics.values import type_exports
 from dolfinx_feti.workshop.compiled import Material, States, compile_material, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, least_eigenvalues, scan_ellipticity
 from dolfinx_feti.workshop.fitting import Fit, fit
@@ -58,5 +57,3 @@ __all__ = [
     "small_strain_moduli",
     "uniaxial",
 ]
-
-type_exports(globals())

@@ -1,12 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""An energy compiled with its first and second derivatives, and evaluated at many states at once.
+"""Energies, compiled with their first and second derivatives and evaluated at many states at once.
 
     Ψ(F),   P = ∂Ψ/∂F,   A = ∂²Ψ/∂F∂F,   A_iJkL = ∂P_iJ/∂F_kL
 
-F is a Function on a quadrature element whose points are the states: 0.1 ms for the tangents of 64.
-Nothing here is parallel: every process does the same work.
+F is a Function on a quadrature element whose points are the states: the tangents at 64 states take
+0.1 ms. Nothing here is parallel: every process does the same work.
 """
 
 from __future__ import annotations
@@ -31,15 +31,19 @@ from ufl.variable import Label, Variable
 
 from dolfinx_feti.mechanics.kinematics import jacobian, right_cauchy_green
 from dolfinx_feti.mechanics.materials import volumetric
-from dolfinx_feti.mechanics.values import require_within
+from dolfinx_feti.mechanics.values import require_type, require_within
 from dolfinx_feti.runtime.arrays import Array, Mask
 
 __all__ = ["CompiledEnergy", "Material", "States", "compile_material", "evaluate"]
 
-#: States per call of the generated code.
+#: States per call of the generated code. A choice: larger batches gain little per state.
 BATCH = 64
+
+#: Arguments of an energy.
 MEASURES = ("F", "C", "J")
-#: Of the variable F: UFL's own count would enter the signature, and compile an energy again.
+
+#: Label of the variable F. Labels counted by UFL would change the signature of an energy, so that
+#: it is compiled again.
 LABEL = Label(-1)
 
 
@@ -60,7 +64,7 @@ class States:
 
 
 class CompiledEnergy:
-    """The generated code of an energy, the place where it finds the states, and its parameters."""
+    """The generated code of an energy, with the Function of the states and the parameters."""
 
     def __init__(
         self,
@@ -68,7 +72,13 @@ class CompiledEnergy:
         parameters: Sequence[str] = (),
         jit_options: Mapping[str, Any] | None = None,
     ) -> None:
-        """Compile, see :func:`compile_material`."""
+        """Compile an energy.
+
+        Args:
+            psi: The energy, see :func:`compile_material`.
+            parameters: Names of its parameters.
+            jit_options: Options of dolfinx's compiler.
+        """
         mesh = dolfinx.mesh.create_interval(MPI.COMM_SELF, 1, (0.0, 1.0))
         points = np.linspace(0.0, 1.0, BATCH)[:, None]
         element = basix.ufl.quadrature_element(
@@ -78,13 +88,13 @@ class CompiledEnergy:
         self._mesh = mesh
         self._F = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
         self._kappa = dolfinx.fem.Constant(mesh, np.float64(0.0))
-        self._own = {name: dolfinx.fem.Constant(mesh, np.float64(1.0)) for name in parameters}
+        self._values = {name: dolfinx.fem.Constant(mesh, np.float64(1.0)) for name in parameters}
         F = Variable(self._F, LABEL)
-        energy = _call(psi, F, self._own)
-        _check_energy(energy, F, set(self._own.values()))
+        energy = _call(psi, F, self._values)
+        _check_energy(energy, F, set(self._values.values()))
         constants = ufl.algorithms.analysis.extract_constants(energy)
-        theirs = [c for c in constants if c not in self._own.values()]
-        self._copies = {c: dolfinx.fem.Constant(mesh, c.value) for c in theirs}
+        of_user = [c for c in constants if c not in self._values.values()]
+        self._copies = {c: dolfinx.fem.Constant(mesh, c.value) for c in of_user}
         energy = ufl.replace(energy, self._copies) + volumetric(jacobian(F), self._kappa)
         P = ufl.diff(energy, F)
         options = {"cffi_extra_compile_args": ["-O1"], **(jit_options or {})}
@@ -96,17 +106,21 @@ class CompiledEnergy:
     def __call__(self, F: Array, kappa: float, parameters: Mapping[str, float]) -> States:
         """Evaluate at the states F, (n, 3, 3), with a finite κ; see :func:`evaluate`."""
         self._kappa.value = kappa
-        for name, constant in self._own.items():
+        for name, constant in self._values.items():
             constant.value = parameters[name]
-        for theirs, ours in self._copies.items():
-            ours.value = theirs.value
+        for of_user, copy in self._copies.items():
+            copy.value = of_user.value
         batches = [self._batch(F[i : i + BATCH]) for i in range(0, len(F), BATCH)]
         psi, P, A = (np.concatenate(parts) for parts in zip(*batches, strict=True))
         return States(F, psi, P, A)
 
     def _batch(self, F: Array) -> list[Array]:
-        """Values of Ψ, P and A at no more than BATCH states; a NaN in one would reach all."""
-        states, lost = np.tile(np.eye(3), (BATCH, 1, 1)), ~np.isfinite(F).all(axis=(1, 2))
+        """Return Ψ, P and A at up to BATCH states; states that are not finite have NaN.
+
+        These are replaced by I, as the generated code would spread their NaN to all states.
+        """
+        states = np.tile(np.eye(3), (BATCH, 1, 1))
+        lost = ~np.isfinite(F).all(axis=(1, 2))
         states[: len(F)][~lost] = F[~lost]
         self._F.x.array[:] = states.ravel()
         cell = np.zeros(1, dtype=np.int32)
@@ -142,11 +156,11 @@ class Material:
 
     @property
     def incompressible(self) -> bool:
-        """Whether J = 1 is a constraint, with a pressure to hold it."""
+        """Whether J = 1 is a constraint, with the pressure as its multiplier."""
         return math.isinf(self.kappa)
 
     def with_parameters(self, **parameters: float) -> Material:
-        """Return the same material with other values of some parameters; nothing is compiled."""
+        """Return the material with other values of parameters, without compilation."""
         return replace(self, parameters={**self.parameters, **parameters})
 
 
@@ -161,28 +175,41 @@ def compile_material(
 
     Args:
         psi: Energy per unit reference volume [kPa], a function of ``C`` and ``J``, or of ``F``, by
-            these names, that returns a UFL expression. All else is bound: numbers, fibres as
-            ``ufl.as_vector``, or dolfinx constants, whose values at an evaluation count.
+            these names, that returns a UFL expression. Other data are part of the function:
+            numbers, fibres as ``ufl.as_vector``, or dolfinx Constants with their current values.
         kappa: Penalty κ [kPa] of κ/2 (J − 1)², which is added: ``math.inf`` makes the material
             incompressible, 0 adds nothing to an energy that is complete.
-        parameters: Arguments of ``psi`` that are to change without compilation, and their values.
+        parameters: Further arguments of ``psi``, which change without compilation, and their
+            values.
         jit_options: Options of dolfinx's compiler; by default ``-O1``.
 
     Raises:
         TypeError: ``psi`` has other arguments, or returns something else than a UFL expression.
-        ValueError: The energy is no scalar, does not depend on the deformation, or depends on a
-            field; or ``kappa`` or a parameter is no admissible number.
+        ValueError: The energy is not a scalar, does not depend on the deformation, or depends on a
+            field; or ``kappa`` is negative or NaN, or a parameter is not finite.
     """
+    if not callable(psi):
+        raise TypeError(f"psi is {psi!r}: give Callable, a function of C and J, or of F.")
     parameters = dict(parameters or {})
     return Material(CompiledEnergy(psi, tuple(parameters), jit_options), kappa, parameters)
 
 
 def evaluate(material: Material, F: npt.ArrayLike) -> States:
-    """Evaluate an energy, without the pressure of an incompressible material, at F, (n, 3, 3).
+    """Evaluate an energy with its volumetric part, if κ is finite, at several states.
 
-    Values of states outside its domain, such as J ≤ 0, are not finite. A finite κ counts. Another
-    shape than this or (3, 3) is a ValueError.
+    The pressure of an incompressible material is not included.
+
+    Args:
+        material: The material.
+        F: Deformation gradients, (n, 3, 3) or (3, 3).
+
+    Returns:
+        The states; values outside the domain of the energy, such as J ≤ 0, are not finite.
+
+    Raises:
+        ValueError: F has another shape.
     """
+    require_type(Material, material=material)
     F = np.array(F, dtype=np.float64)
     if F.shape[-2:] != (3, 3) or F.ndim not in (2, 3) or F.size == 0:
         raise ValueError(f"F has the shape {F.shape}: give (n, 3, 3), with n ≥ 1, or (3, 3).")
@@ -191,22 +218,36 @@ def evaluate(material: Material, F: npt.ArrayLike) -> States:
 
 
 def _call(psi: Callable[..., Expr], F: Variable, parameters: Mapping[str, Expr]) -> Expr:
-    """Call psi with those of F, C and J that it takes, and with the parameters."""
+    """Return psi at those of F, C and J that are its arguments, and at the parameters.
+
+    Raises:
+        TypeError: It has other arguments.
+    """
     measures = dict(zip(MEASURES, (F, right_cauchy_green(F), jacobian(F)), strict=True))
     signature = inspect.signature(psi)
-    given = {name: measures[name] for name in MEASURES if name in signature.parameters}
+    arguments = {name: measures[name] for name in MEASURES if name in signature.parameters}
     try:
-        signature.bind(**given, **parameters)
+        signature.bind(**arguments, **parameters)
     except TypeError as error:
         raise TypeError(
             f"psi{signature}: {error}. Name the arguments C and J, or F; bind others with "
             "functools.partial, or give them as parameters."
         ) from error
-    return psi(**given, **parameters)
+    return psi(**arguments, **parameters)
 
 
 def _check_energy(psi: object, F: Variable, constants: set[Expr]) -> None:
-    """Require a scalar expression of F and of constants with values."""
+    """Raise an error unless an energy is a scalar expression of F and of constants with values.
+
+    Args:
+        psi: The energy.
+        F: The deformation gradient.
+        constants: Its parameters.
+
+    Raises:
+        TypeError: The energy is not a UFL expression.
+        ValueError: It is not a scalar, or depends on something else.
+    """
     if not isinstance(psi, Expr):
         raise TypeError(f"psi returns {psi!r}: expected a UFL expression.")
     if psi.ufl_shape:

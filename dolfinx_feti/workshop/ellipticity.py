@@ -1,12 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Strong ellipticity: the least eigenvalue of the acoustic tensor over all directions.
+"""Strong ellipticity: the smallest eigenvalue of the acoustic tensor over all directions.
 
     Q_ik(n) = 𝒜_ijkl n_j n_l,   𝒜_ijkl = J⁻¹ A_iJkL F_jJ F_lL
 
 with a unit normal n in the deformed body. The energy is strongly elliptic at F if m · Q(n) m > 0
-for all m and n; in an incompressible material only m ⟂ n count, on which the pressure has no effect
+for all m and n; in an incompressible material for all m ⟂ n, where the pressure has no effect
 (docs/fitting.md; Merodio, Ogden, Int. J. Solids Struct. 40, 2003).
 """
 
@@ -26,12 +26,18 @@ from dolfinx_feti.workshop.paths import MaterialTest
 
 __all__ = ["Ellipticity", "least_eigenvalues", "scan_ellipticity"]
 
-#: Eigenvalue, relative to the stiffness at rest, that counts as zero.
+#: Eigenvalue, relative to the stiffness at rest, that is zero: rounding with a margin.
 ZERO_EIGENVALUE = 1e-10
 
-#: Directions of the first search, some 7° apart, and the distances of those around the best one
-#: that follow it [rad]: the error of an eigenvalue is the square of the last.
-N_DIRECTIONS, AROUND, DISTANCES = 400, 12, 0.1 * 0.6 ** np.arange(28)
+#: Directions of the first search, some 7° apart.
+N_DIRECTIONS = 400
+
+#: Directions around the best one in each further search.
+AROUND = 12
+
+#: Their distances from it [rad], one search after the other: 0.1 is the distance of the first
+#: directions, and the square of the last one, 1e-14, is the error of an eigenvalue.
+DISTANCES = 0.1 * 0.6 ** np.arange(28)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,15 +45,15 @@ class Ellipticity:
     """The acoustic tensor along a path."""
 
     path: MaterialTest  #: The path
-    least: Array  #: Least eigenvalues [kPa], (n,); NaN where no equilibrium was found
+    least: Array  #: Smallest eigenvalues [kPa], (n,); NaN for states without equilibrium
     rest: float  #: The value nearest to the reference state
-    lost: tuple[float, ...]  #: Where ellipticity is first lost above and below rest, if it is
+    lost: tuple[float, ...]  #: Values at which ellipticity is first lost below and above rest
 
 
 def scan_ellipticity(
     material: Material, make_path: Callable[[npt.ArrayLike], MaterialTest], values: npt.ArrayLike
 ) -> Ellipticity:
-    """Follow the least eigenvalue of the acoustic tensor along a path.
+    """Compute the smallest eigenvalue of the acoustic tensor along a path.
 
     Args:
         material: The compiled energy.
@@ -67,12 +73,15 @@ def scan_ellipticity(
 
     least = margins(path)
     rest = int(np.linalg.norm(path.F - np.eye(3), axis=(1, 2)).argmin())
-    sides = (np.arange(rest, len(least)), np.arange(rest, -1, -1))
-    found = [
-        _first_loss(lambda v: margins(make_path(v)), path.values[side], least[side])
-        for side in sides
-    ]
-    lost = {value for value in found if value is not None}
+
+    def margins_at(values: list[float]) -> Array:
+        return margins(make_path(values))
+
+    lost = set()
+    for side in (np.arange(rest, len(least)), np.arange(rest, -1, -1)):
+        value = _first_loss(margins_at, path.values[side], least[side])
+        if value is not None:
+            lost.add(value)
     return Ellipticity(path, least + zero, float(path.values[rest]), tuple(sorted(lost)))
 
 
@@ -82,10 +91,10 @@ def least_eigenvalues(F: Array, A: Array, *, incompressible: bool) -> tuple[Arra
     Args:
         F: Deformation gradients, (n, 3, 3).
         A: Tangents ∂²Ψ/∂F∂F [kPa], finite, (n, 3, 3, 3, 3).
-        incompressible: Whether only polarisations m ⟂ n count.
+        incompressible: Whether only polarisations m ⟂ n are admissible.
 
     Returns:
-        Least eigenvalues [kPa], (n,), and their normals n, (n, 3).
+        Smallest eigenvalues [kPa], (n,), and their normals n, (n, 3).
     """
     J = np.linalg.det(F)[:, None, None, None, None]
     spatial = np.einsum("niJkL,njJ,nlL->nijkl", A, F, F, optimize=True) / J
@@ -111,11 +120,14 @@ def least_eigenvalues(F: Array, A: Array, *, incompressible: bool) -> tuple[Arra
 
 
 def _along(material: Material, path: MaterialTest) -> Array:
-    """Least eigenvalues, (n,); NaN where there is no equilibrium, or no finite tangent."""
+    """Return the smallest eigenvalues along a path, (n,); NaN without equilibrium or tangent."""
     F, _ = equilibrate(material, path.F, path.free)
-    states, least = evaluate(material, F), np.full(len(F), np.nan)
-    fine, kind = states.finite, material.incompressible
-    least[fine] = least_eigenvalues(F[fine], states.A[fine], incompressible=kind)[0]
+    states = evaluate(material, F)
+    least = np.full(len(F), np.nan)
+    is_finite = states.finite
+    least[is_finite], _ = least_eigenvalues(
+        F[is_finite], states.A[is_finite], incompressible=material.incompressible
+    )
     return least
 
 
@@ -128,17 +140,29 @@ def _tangents(n: Array) -> Array:
 
 
 def _first_loss(
-    margins: Callable[[list[float]], Array], values: Array, known: Array
+    margins: Callable[[list[float]], Array], values: Array, margins_at_values: Array
 ) -> float | None:
-    """Where the margin first vanishes, starting at values[0]; None if not before it is NaN."""
-    gone = ~(known > 0)
-    k = int(gone.argmax())
-    if not gone[k] or np.isnan(known[k]):
+    """Return the value at which the margin first vanishes.
+
+    Args:
+        margins: The margins at any values.
+        values: Values of the path, from rest on, (n,).
+        margins_at_values: The margins there, (n,).
+
+    Returns:
+        The value; None if the margin is positive up to the end, or to a state without equilibrium.
+    """
+    is_lost = ~(margins_at_values > 0)
+    k = int(is_lost.argmax())
+    if not is_lost[k] or np.isnan(margins_at_values[k]):
         return None
     if k == 0:
         return float(values[0])
-    ends = values[k - 1], values[k]
+
+    def margin(value: float) -> float:
+        return float(margins([value])[0])
+
     try:
-        return float(scipy.optimize.brentq(lambda v: float(margins([v])[0]), *ends, xtol=1e-9))
-    except (RuntimeError, ValueError):  # no equilibrium somewhere between the two
+        return float(scipy.optimize.brentq(margin, values[k - 1], values[k], xtol=1e-9))
+    except (RuntimeError, ValueError):  # a state between the two has no equilibrium
         return float(values[k])

@@ -24,17 +24,22 @@ from ufl.core.expr import Expr
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.mechanics.values import require_within
 from dolfinx_feti.runtime.arrays import Array, Mask
-from dolfinx_feti.runtime.tables import Cell, state, table
+from dolfinx_feti.text_tables import Cell, format_value, text_table
 from dolfinx_feti.workshop.compiled import Material, compile_material
 from dolfinx_feti.workshop.response import DataSet, Response, respond, stresses
 
 __all__ = ["Fit", "fit", "uncertainty"]
 
-#: Distance from a bound, relative to the parameter, at which it is on the bound.
-TOUCH = 1e-6
+#: Distance from a bound, relative to the parameter, up to which a parameter is on the bound: the
+#: optimisation stays inside, at a distance of about its tolerance.
+BOUND_RTOL = 1e-6
 
-#: Singular value of the Jacobian with unit columns below which parameters cannot be told apart.
-BLIND = 1e-7
+#: Singular value of the Jacobian with unit columns below which the data do not determine a
+#: combination of parameters: differences of the residuals have relative errors of 1e-10 and more.
+SINGULAR_RTOL = 1e-7
+
+#: Component of such a combination above which a parameter takes part in it.
+COMPONENT = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,16 +63,21 @@ class Fit:
     def correlation(self) -> Array:
         """Correlation of the parameters, (m, m)."""
         deviation = np.sqrt(np.diag(self.covariance))
-        with np.errstate(invalid="ignore"):  # inf/inf of what the data do not determine
+        with np.errstate(invalid="ignore"):  # inf/inf for undetermined parameters
             return self.covariance / np.outer(deviation, deviation)
 
     def __str__(self) -> str:
         """Return a table of the parameters and one of the data sets."""
-        parameters, sets = list[list[Cell]](), list[list[Cell]]()
+        parameters = list[list[Cell]]()
+        sets = list[list[Cell]]()
         for name, (low, high) in self.intervals.items():
-            bound = math.isnan(low)
-            remark = "on its bound" if bound else "not determined by the data" * math.isinf(low)
-            ends: list[Cell] = [None] * 2 if bound else [low, high]
+            ends: list[Cell] = [low, high]
+            remark = ""
+            if math.isnan(low):
+                ends = [None, None]
+                remark = "on its bound"
+            elif math.isinf(low):
+                remark = "not determined by the data"
             parameters.append([name, self.values[name], *ends, remark])
         for d, response in zip(self.data, self.responses, strict=True):
             error = stresses(response, d.measure) - d.stress
@@ -76,9 +86,9 @@ class Fit:
             sets.append([d.name, len(error), float(np.sqrt(np.mean(error**2))), float(explained)])
         level = f"{100 * self.confidence:g} % confidence"
         return (
-            table(["parameter", "value", level, "", ""], parameters)
+            text_table(["parameter", "value", level, "", ""], parameters)
             + "\n\n"
-            + table(["data set", "states", "rms error [kPa]", "R²"], sets)
+            + text_table(["data set", "states", "rms error [kPa]", "R²"], sets)
         )
 
 
@@ -97,19 +107,20 @@ def fit(
     Args:
         psi: Energy, as in ``compile_material``, that takes the parameters by their names.
         data: Data sets.
-        start: Names of the parameters, and values to begin with.
-        bounds: Least and largest value of some or all parameters.
-        kappa: As in ``compile_material``, and ``jit_options``, too.
+        start: Initial values of the parameters by name.
+        bounds: Smallest and largest value of any of the parameters.
+        kappa: Penalty κ [kPa], as in ``compile_material``.
         confidence: Level of the confidence intervals.
         jit_options: Options of dolfinx's compiler; by default ``-O1``.
 
     Raises:
-        ValueError: There are no more data than parameters, or the start or a bound is no
-            admissible number.
+        ValueError: There are no more data than parameters, or a start value is not finite or not
+            within its bounds.
         TypeError: ``psi`` does not take the parameters.
         ConvergenceError: There is no equilibrium at the start, or the least-squares method failed.
     """
-    names, data = list(start), tuple(data)
+    names = list(start)
+    data = tuple(data)
     n = sum(d.stress.size for d in data)
     if not names or n <= len(names):
         raise ValueError(f"{n} measured stresses cannot determine the parameters {names}.")
@@ -124,36 +135,49 @@ def fit(
 
     def residuals(values: Array) -> Array:
         candidate = trial(values)
-        errors = (stresses(respond(candidate, d.path), d.measure) - d.stress for d in data)
-        parts = [d.weight * error.ravel() for d, error in zip(data, errors, strict=True)]
+        parts = []
+        for d in data:
+            error = stresses(respond(candidate, d.path), d.measure) - d.stress
+            parts.append(d.weight * error.ravel())
         return np.concatenate(parts)
 
     first = np.array(list(start.values()), dtype=np.float64)
     optimum = _minimise(residuals, first, limits)
     x = optimum.x
-    reach = TOUCH * np.maximum(np.abs(x), np.abs(first))
-    free = (np.abs(x - limits) > reach).all(axis=0)
-    C, half = uncertainty(optimum.jac, 2 * optimum.cost, free, confidence)
-    ends = zip((x - half).tolist(), (x + half).tolist(), strict=True)
-    responses = tuple(respond(trial(x), d.path) for d in data)
-    intervals = dict(zip(names, ends, strict=True))
-    return Fit(trial(x), intervals, C, confidence, data, responses)
+    distance = BOUND_RTOL * np.maximum(np.abs(x), np.abs(first))
+    is_free = (np.abs(x - limits) > distance).all(axis=0)
+    C, half = uncertainty(optimum.jac, 2 * optimum.cost, is_free, confidence)
+    intervals = {}
+    for name, low, high in zip(names, (x - half).tolist(), (x + half).tolist(), strict=True):
+        intervals[name] = (low, high)
+    fitted = trial(x)
+    responses = tuple(respond(fitted, d.path) for d in data)
+    return Fit(fitted, intervals, C, confidence, data, responses)
 
 
 def uncertainty(R: Array, squares: float, free: Mask, confidence: float) -> tuple[Array, Array]:
-    """Return s² (Rᵀ R)⁻¹, (m, m), and half the widths of the confidence intervals, (m,).
+    """Compute the covariance of the parameters and their confidence intervals.
 
-    Parameters that are not ``free`` have NaN; what the residuals do not determine is infinite.
+    Args:
+        R: Jacobian of the residuals, (n, m).
+        squares: Sum of the squared residuals.
+        free: Mask of the parameters that are not on a bound, (m,).
+        confidence: Level of the intervals.
+
+    Returns:
+        The covariance s² (Rᵀ R)⁻¹, (m, m), and half the widths of the intervals, (m,): NaN for
+        parameters on a bound, infinite for undetermined ones.
     """
     freedom = len(R) - int(free.sum())
     lengths = np.linalg.norm(R[:, free], axis=0)
     lengths[lengths == 0] = 1.0
     _, s, Vt = np.linalg.svd(R[:, free] / lengths, full_matrices=False)
-    seen = s > BLIND * s.max(initial=0.0)
-    V = Vt[seen].T / s[seen]
+    is_determined = s > SINGULAR_RTOL * s.max(initial=0.0)
+    V = Vt[is_determined].T / s[is_determined]
     C = squares / freedom * (V @ V.T) / np.outer(lengths, lengths)  # s² (Rᵀ R)⁻¹
-    blind = (np.abs(Vt[~seen]) > 1e-3).any(axis=0)
-    C[blind], C[:, blind] = np.inf, np.inf
+    is_undetermined = (np.abs(Vt[~is_determined]) > COMPONENT).any(axis=0)
+    C[is_undetermined] = np.inf
+    C[:, is_undetermined] = np.inf
     covariance = np.full((len(free), len(free)), np.nan)
     covariance[np.ix_(free, free)] = C
     t = float(scipy.stats.t.ppf((1 + confidence) / 2, freedom))
@@ -163,9 +187,19 @@ def uncertainty(R: Array, squares: float, free: Mask, confidence: float) -> tupl
 def _minimise(
     residuals: Callable[[Array], Array], start: Array, limits: Array
 ) -> scipy.optimize.OptimizeResult:
-    """Least squares within the limits, (2, m)."""
+    """Solve the least-squares problem within bounds.
+
+    Args:
+        residuals: Residuals, (n,), as a function of the parameters, (m,).
+        start: Initial parameters, (m,).
+        limits: Smallest and largest values, (2, m).
+
+    Raises:
+        ConvergenceError: A state has no equilibrium, or the method did not converge.
+    """
     try:
-        bounds, exact = (limits[0], limits[1]), {"ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12}
+        bounds = (limits[0], limits[1])
+        exact = {"ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12}
         optimum = scipy.optimize.least_squares(
             residuals, start, jac="3-point", bounds=bounds, x_scale="jac", **exact
         )
@@ -183,12 +217,12 @@ def _minimise(
 
 
 def _check_start(material: Material, data: Sequence[DataSet]) -> None:
-    """Require equilibria at the start."""
+    """Raise a ConvergenceError if a measured state has no equilibrium."""
     for d in data:
         response = respond(material, d.path)
         lost = np.flatnonzero(~np.isfinite(stresses(response, d.measure)).all(axis=1))
         if len(lost):
-            where = state(d.path.symbol, d.path.values[lost[0]])
+            where = format_value(d.path.symbol, d.path.values[lost[0]])
             raise ConvergenceError(
                 f"With start = {dict(material.parameters)} there is no equilibrium at {len(lost)} "
                 f"states of {d.name}, the first at {where}: start from softer fibres, for instance."
@@ -196,7 +230,11 @@ def _check_start(material: Material, data: Sequence[DataSet]) -> None:
 
 
 def _limits(start: Mapping[str, float], bounds: Mapping[str, tuple[float, float]]) -> Array:
-    """Return least and largest values, (2, m)."""
+    """Return the smallest and largest values of the parameters, (2, m).
+
+    Raises:
+        ValueError: A start value is not finite or not within its bounds, or a bound has no start.
+    """
     require_within(-math.inf, math.inf, start, remedy="a finite value")
     unknown = set(bounds) - set(start)
     if unknown:

@@ -15,14 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.tables import number
+from dolfinx_feti.text_tables import format_number
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import total_tangent
 
 __all__ = ["ZERO_STIFFNESS", "Moduli", "small_strain_moduli"]
 
-#: Relative eigenvalue of the stiffness that counts as zero.
+#: Eigenvalue of the stiffness, relative to its largest entry, that is zero: rounding with a margin.
 ZERO_STIFFNESS = 1e-8
+
+#: Indices of Voigt's components 1 to 6.
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
@@ -31,7 +33,7 @@ class Moduli:
     """Moduli at small strains; ``str`` prints them."""
 
     stiffness: Array  #: D in Voigt's order 11, 22, 33, 23, 13, 12 [kPa], (6, 6)
-    least: float  #: Least eigenvalue of D, which is 2 μ (or 3 K) of an isotropic material [kPa]
+    least: float  #: Smallest eigenvalue of D [kPa], 2 μ or 3 K for an isotropic material
     bulk: float  #: K [kPa], infinite for an incompressible material
     shear: float  #: μ [kPa]
     young: Array  #: Young's moduli along x, y and z [kPa], (3,); NaN if D is not positive definite
@@ -39,28 +41,35 @@ class Moduli:
 
     def __str__(self) -> str:
         """Return a few lines."""
-        lines = [f"shear modulus {number(self.shear)} kPa, bulk modulus {number(self.bulk)} kPa"]
+        shear = format_number(self.shear)
+        bulk = format_number(self.bulk)
+        lines = [f"shear modulus {shear} kPa, bulk modulus {bulk} kPa"]
         if np.isnan(self.young).any():
             return "\n".join([*lines, "not positive definite: no Young's modulus"])
-        ratios = ", ".join(number(self.poisson[i, j]) for i, j in ((0, 1), (0, 2), (1, 2)))
+        ratios = ", ".join(format_number(self.poisson[i, j]) for i, j in ((0, 1), (0, 2), (1, 2)))
         lines += [
-            f"Young's moduli {', '.join(map(number, self.young))} kPa along x, y, z",
+            f"Young's moduli {', '.join(map(format_number, self.young))} kPa along x, y, z",
             f"Poisson's ratios {ratios} of xy, xz, yz",
         ]
         return "\n".join(lines)
 
 
 def small_strain_moduli(material: Material) -> Moduli:
-    """Compute the moduli at the reference; a ValueError if there are no finite derivatives."""
+    """Compute the moduli at the reference.
+
+    Raises:
+        ValueError: The energy or its derivatives are not finite there.
+    """
     B = _strains(material.incompressible)
     M = np.einsum("aij,ijkl,bkl->ab", B, _stiffness(material), B)
-    least, D = float(np.linalg.eigvalsh(M)[0]), _tensor(B, M)
+    least = float(np.linalg.eigvalsh(M)[0])
+    D = _tensor(B, M)
     S = np.full((3, 3), np.nan)  # S_iijj
     if least > ZERO_STIFFNESS * np.abs(M).max():
         S = np.einsum("iijj->ij", _tensor(B, np.linalg.inv(M)))
     trace = float(np.einsum("iijj", D))
     return Moduli(
-        stiffness=np.array([[D[ij + kl] for kl in VOIGT] for ij in VOIGT]),
+        stiffness=_voigt_matrix(D),
         least=least,
         bulk=np.inf if material.incompressible else trace / 9,
         shear=(float(np.einsum("ijij", D)) - trace / 3) / 10,
@@ -69,8 +78,14 @@ def small_strain_moduli(material: Material) -> Moduli:
     )
 
 
+def _voigt_matrix(D: Array) -> Array:
+    """Return a tensor, (3, 3, 3, 3), as a matrix in Voigt's order, (6, 6)."""
+    i, j = np.transpose(VOIGT)
+    return D[i[:, None], j[:, None], i, j]
+
+
 def _stiffness(material: Material) -> Array:
-    """D at the reference, (3, 3, 3, 3)."""
+    """Return D at the reference, (3, 3, 3, 3)."""
     reference = evaluate(material, np.eye(3))
     if not reference.finite.all():
         raise ValueError("psi, its stress or its tangent is no finite number at F = I.")
@@ -80,7 +95,10 @@ def _stiffness(material: Material) -> Array:
 
 
 def _strains(incompressible: bool) -> Array:
-    """Orthonormal basis of the symmetric tensors, (6, 3, 3), or of those without trace, (5, …)."""
+    """Return an orthonormal basis of the symmetric tensors, (6, 3, 3).
+
+    If incompressible, only of those without trace, (5, 3, 3).
+    """
     diagonals = [[1, -1, 0], [1, 1, -2], [1, 1, 1]]
     shears = [np.outer(*np.eye(3)[list(ij)]) for ij in ((1, 2), (0, 2), (0, 1))]
     B = np.array([np.diag(d) for d in diagonals] + [s + s.T for s in shears], dtype=np.float64)
@@ -89,5 +107,5 @@ def _strains(incompressible: bool) -> Array:
 
 
 def _tensor(B: Array, M: Array) -> Array:
-    """Fourth-order tensor of a matrix in the basis B, (3, 3, 3, 3)."""
+    """Return the tensor, (3, 3, 3, 3), of a matrix M in the basis B."""
     return np.einsum("aij,ab,bkl->ijkl", B, M, B)

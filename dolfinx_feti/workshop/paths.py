@@ -4,7 +4,7 @@
 """Homogeneous deformations of the material tests: uniaxial, biaxial, pure and simple shear.
 
 In the loading frame (e₁, e₂, e₃) a path prescribes some entries of F. The others are *free*: the
-stresses P conjugate to them vanish, and :mod:`~dolfinx_feti.workshop.equilibrium` finds them.
+stresses P conjugate to them vanish, and :mod:`~dolfinx_feti.workshop.equilibrium` solves for them.
 
 =================== === ==== ==== ===========================
 path                F₁₁ F₂₂  F₁₂  free
@@ -17,8 +17,9 @@ inflation–extension λ   λ_z  0    likewise
 simple shear        1   1    γ    likewise
 =================== === ==== ==== ===========================
 
-F₂₁ = F₃₁ = F₃₂ = 0 fixes the rotation. In uniaxial tension σ₁₁ alone acts, and the specimen shears
-if fibres are oblique. In the others the face normal to e₃ is free, and clamps hold the shear.
+F₂₁ = F₃₁ = F₃₂ = 0 determines the rotation. In uniaxial tension σ₁₁ is the only stress, and the
+specimen shears if fibres are oblique. In the other tests the face normal to e₃ is free, and clamps
+prevent shear.
 """
 
 from __future__ import annotations
@@ -43,7 +44,11 @@ __all__ = [
     "uniaxial",
 ]
 
-E1, E2 = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+#: Cosine of the angle between e₁ and e₂ up to which they are normal: a rounding margin.
+NORMAL_ATOL = 1e-10
+
+E1 = (1.0, 0.0, 0.0)
+E2 = (0.0, 1.0, 0.0)
 OUT_OF_PLANE = ((2, 2), (0, 2), (1, 2))
 
 
@@ -94,7 +99,8 @@ def biaxial(
     Raises:
         ValueError: A stretch is not positive, their numbers differ, or directions are not normal.
     """
-    stretch, second = _stretches("stretch", stretch), _stretches("stretch_2", stretch_2)
+    stretch = _stretches("stretch", stretch)
+    second = _stretches("stretch_2", stretch_2)
     if len(second) not in (1, len(stretch)):
         raise ValueError(
             f"stretch has {len(stretch)} values and stretch_2 has {len(second)}: give as many."
@@ -106,14 +112,32 @@ def biaxial(
 def equibiaxial(
     stretch: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
 ) -> MaterialTest:
-    """Equibiaxial tension of a sheet, see :func:`biaxial`."""
+    """Equibiaxial tension of a sheet.
+
+    Args:
+        stretch: λ along e₁ and e₂, positive, (n,).
+        along: Direction e₁, of any length.
+        across: Direction e₂, normal to e₁.
+
+    Raises:
+        ValueError: A stretch is not positive, or directions are not normal.
+    """
     return biaxial(stretch, stretch, along=along, across=across, name="equibiaxial")
 
 
 def pure_shear(
     stretch: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
 ) -> MaterialTest:
-    """Tension of a wide sheet that keeps its width (planar tension), see :func:`biaxial`."""
+    """Tension of a wide sheet of constant width (planar tension).
+
+    Args:
+        stretch: λ along e₁, positive, (n,); the stretch along e₂ is 1.
+        along: Direction e₁, of any length.
+        across: Direction e₂, normal to e₁.
+
+    Raises:
+        ValueError: A stretch is not positive, or directions are not normal.
+    """
     return biaxial(stretch, 1.0, along=along, across=across, name="pure shear")
 
 
@@ -124,7 +148,17 @@ def inflation(
     along: Sequence[float] = E1,
     across: Sequence[float] = E2,
 ) -> MaterialTest:
-    """Inflation of a thin tube, circumference e₁, at a fixed axial stretch λ_z along e₂."""
+    """Inflation of a thin tube with circumference e₁ at a fixed axial stretch along e₂.
+
+    Args:
+        stretch: λ along e₁, positive, (n,).
+        axial: λ_z along e₂, positive.
+        along: Circumferential direction e₁, of any length.
+        across: Axial direction e₂, normal to e₁.
+
+    Raises:
+        ValueError: A stretch is not positive, or directions are not normal.
+    """
     require_positive(axial=axial)
     return biaxial(stretch, axial, along=along, across=across, name="inflation–extension")
 
@@ -132,7 +166,12 @@ def inflation(
 def simple_shear(
     shear: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
 ) -> MaterialTest:
-    """Simple shear by γ, (n,), F = I + γ e₁ ⊗ e₂ with F₃₃ free; e₂ is normal to planes that slide.
+    """Simple shear F = I + γ e₁ ⊗ e₂, with F₃₃ free.
+
+    Args:
+        shear: γ, (n,).
+        along: Direction e₁ of the shear, of any length.
+        across: Normal e₂ of the sliding planes, normal to e₁.
 
     Raises:
         ValueError: A value is not finite, or the directions are not normal to each other.
@@ -143,7 +182,7 @@ def simple_shear(
     return _path("simple shear", "γ", shear, F, OUT_OF_PLANE, (along, across), ((0, 1),))
 
 
-#: The paths along which :func:`~dolfinx_feti.workshop.report.check` goes, by their symbols.
+#: The paths of :func:`~dolfinx_feti.workshop.report.check`, by the symbol of their values.
 STANDARD_PATHS: Mapping[str, tuple[Callable[[npt.ArrayLike], MaterialTest], ...]] = {
     "λ": (uniaxial, equibiaxial, pure_shear, inflation),
     "γ": (simple_shear,),
@@ -159,9 +198,23 @@ def _path(
     directions: tuple[npt.ArrayLike, npt.ArrayLike],
     measured: tuple[tuple[int, int], ...],
 ) -> MaterialTest:
-    """Return a path whose F and free entries are given in the loading frame."""
-    e1, e2 = _unit("along", directions[0]), _unit("across", directions[1])
-    if abs(e1 @ e2) > 1e-10:
+    """Return a path.
+
+    Args:
+        name: Name of the test.
+        symbol: Letter of the values.
+        values: Stretches or amounts of shear, (n,).
+        F: Deformation gradients in the loading frame, (n, 3, 3).
+        free: Indices of the free entries in the loading frame.
+        directions: e₁ and e₂, of any length.
+        measured: Indices of the stresses that a test measures.
+
+    Raises:
+        ValueError: The directions are zero, or not normal to each other.
+    """
+    e1 = _unit("along", directions[0])
+    e2 = _unit("across", directions[1])
+    if abs(e1 @ e2) > NORMAL_ATOL:
         raise ValueError(f"along = {e1} and across = {e2} are not normal to each other.")
     R = np.column_stack((e1, e2, np.cross(e1, e2)))
     units = np.zeros((len(free), 3, 3))

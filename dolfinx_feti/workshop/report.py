@@ -17,9 +17,9 @@ from functools import partial
 
 import numpy as np
 
-from dolfinx_feti.mechanics.values import require_positive
+from dolfinx_feti.mechanics.values import require_positive, require_type
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.tables import number, state, table
+from dolfinx_feti.text_tables import format_number, format_value, text_table
 from dolfinx_feti.workshop.compiled import Material, States, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, scan_ellipticity
 from dolfinx_feti.workshop.moduli import ZERO_STIFFNESS, Moduli, small_strain_moduli
@@ -30,14 +30,31 @@ __all__ = ["Check", "Law", "Report", "check", "check_law", "judge", "random_stat
 #: States of a material as a function of F, (n, 3, 3).
 Law = Callable[[Array], States]
 
-#: Deviations that pass: of identities that hold to rounding, and of finite differences.
-IDENTITIES, DIFFERENCES = 1e-9, 1e-6
-#: Increments of F in finite differences, and next to the reference.
-STEP, NEARBY = 6e-6, 1e-10
+#: Largest deviation from an identity that holds to rounding accuracy, with a margin.
+IDENTITIES = 1e-9
+
+#: Largest deviation from finite differences, whose errors are 1e-10 for smooth energies.
+DIFFERENCES = 1e-6
+
+#: Change of the tangent next to the reference above which it has a kink there.
+CONTINUITY = 1e-3
+
+#: Increment of F in central differences: the cube root of the rounding unit, where the errors of
+#: truncation and rounding are equal.
+STEP = 6e-6
+
+#: Strain of the states next to the reference.
+NEARBY = 1e-10
+
+#: Number of random states.
 N_STATES = 32
 
-UNIT, CONSTANT = "are the fibres unit vectors?", "no stress follows from it"
+#: Notes on failed checks.
+UNIT = "are the fibres unit vectors?"
+CONSTANT = "no stress follows from it"
 KINK = "tension and compression differ at small strains, as with fibres that do not push"
+
+#: Seed of the random states: every report has the same.
 SEED = 1729
 
 
@@ -53,25 +70,37 @@ class Check:
 
 
 def check_law(law: Law, *, strain: float, incompressible: bool) -> list[Check]:
-    """Check everything that does not need equilibrium, of a law as a function of F."""
+    """Check identities, reference state and derivatives of a law at random states.
+
+    Args:
+        law: The states as a function of F.
+        strain: Largest principal strain of the random states.
+        incompressible: Whether they have det F = 1, and the pressure at rest is arbitrary.
+    """
     rng = np.random.default_rng(SEED)
     every = law(random_states(rng, N_STATES, strain, incompressible=incompressible))
     finite = _check_finite(every)
     if not every.finite.any():
         return [finite]
-    states, rest = law(every.F[every.finite]), law(np.eye(3)[None])
-    R, H = _rotations(rng, len(states.F)), rng.standard_normal((N_STATES, 3, 3))
+    states = law(every.F[every.finite])
+    rest = law(np.eye(3)[None])
+    R = _rotations(rng, len(states.F))
+    H = rng.standard_normal((N_STATES, 3, 3))
     with np.errstate(all="ignore"):  # values at rest may be infinite
-        F, scale, scale_at_rest = states.F, _scale(states.A), _scale(rest.A)
+        F = states.F
+        scale = _scale(states.A)
+        scale_at_rest = _scale(rest.A)
         stress = rest.P - (np.trace(rest.P[0]) / 3 if incompressible else 0.0) * np.eye(3)
         below = np.maximum((rest.psi - states.psi) / scale, 0.0)
-        turned, frame = law(R @ F), "write psi in C and J"
+        turned = law(R @ F)
+        frame = "write psi in C and J"
         tau = states.P @ F.transpose(0, 2, 1)  # P Fᵀ
         asymmetry = states.A - states.A.transpose(0, 3, 4, 1, 2)
         P, A = _differences(law, F)
         near = law(np.eye(3) + NEARBY * 0.5 * (H + H.transpose(0, 2, 1)))
-        # κ, which may be far larger than the moduli of shear, does not count
+        # without κ, which may be far larger than the moduli of shear
         shear = _scale(np.einsum("nijij->nij", rest.A) * (1 - np.eye(3)))
+        kink = _largest(near.A - rest.A) / shear
         identities: list[tuple[str, Array, str]] = [
             ("frame indifference of the energy", np.abs(turned.psi - states.psi), frame),
             ("frame indifference of the stress", _largest(turned.P - R @ states.P), frame),
@@ -86,7 +115,7 @@ def check_law(law: Law, *, strain: float, incompressible: bool) -> list[Check]:
             *(judge(name, d / scale, F=F, note=note) for name, d, note in identities),
             judge("stress against differences", _largest(states.P - P) / scale, DIFFERENCES, F),
             judge("tangent against differences", _largest(states.A - A) / scale, DIFFERENCES, F),
-            judge("tangent continuous at rest", _largest(near.A - rest.A) / shear, 1e-3, warn=KINK),
+            judge("tangent continuous at rest", kink, CONTINUITY, warn=KINK),
         ]
 
 
@@ -95,12 +124,17 @@ def random_states(
 ) -> Array:
     """Return F = R exp H with random rotations R and strains H, (n, 3, 3).
 
-    Principal values of H are drawn from −strain to strain; if incompressible, without their mean.
+    Args:
+        rng: Generator of random numbers.
+        n: Number of states.
+        strain: Principal values of H are uniformly distributed from −strain to strain.
+        incompressible: Whether their mean is subtracted, so that det F = 1.
     """
     logarithms = rng.uniform(-strain, strain, (n, 3))
     if incompressible:
         logarithms -= logarithms.mean(axis=1, keepdims=True)
-    R, Q = _rotations(rng, n), _rotations(rng, n)
+    R = _rotations(rng, n)
+    Q = _rotations(rng, n)
     return R @ Q @ (np.exp(logarithms)[:, :, None] * Q.transpose(0, 2, 1))
 
 
@@ -113,29 +147,43 @@ def judge(
     note: str = "",
     warn: str = "",
 ) -> Check:
-    """Compare the largest of several deviations, (n,), with a bound; one that is no number fails.
+    """Compare the largest of several deviations with a bound.
 
-    ``note`` explains a failure, ``warn`` makes it a warning; F holds the states, to show the worst.
+    Args:
+        name: Name of the check.
+        deviations: Deviations at the states, (n,); NaN fails.
+        bound: Largest deviation that passes.
+        F: The states, (n, 3, 3), to show the worst one.
+        note: Explanation of a failure.
+        warn: Explanation of a warning; if given, deviations above the bound are a warning.
     """
     worst = int(np.where(np.isnan(deviations), np.inf, deviations).argmax())
     value = float(deviations[worst])
     if value <= bound:
         return Check(name, "pass", value, bound)
-    lost = np.isnan(value)
-    notes = ["no number" if lost else note or warn, "" if F is None else f"at {show(F[worst])}"]
-    outcome = "warn" if warn and not lost else "fail"
-    return Check(name, outcome, value, bound, "; ".join(filter(None, notes)))
+    outcome = "warn" if warn else "fail"
+    notes = [note or warn]
+    if np.isnan(value):
+        outcome = "fail"
+        notes = ["no number"]
+    if F is not None:
+        notes.append(f"at {show(F[worst])}")
+    return Check(name, outcome, value, bound, "; ".join(text for text in notes if text))
 
 
 def show(F: Array) -> str:
     """Return a state as text."""
-    rows = ("[" + ", ".join(f"{entry:.4g}" for entry in row) + "]" for row in F + 0.0)
+    rows = []
+    for row in F + 0.0:  # without negative zeros
+        entries = ", ".join(f"{entry:.4g}" for entry in row)
+        rows.append(f"[{entries}]")
     return f"F = [{', '.join(rows)}]"
 
 
 def _check_finite(states: States) -> Check:
-    """Count the states whose values are no finite numbers."""
-    lost, note = np.flatnonzero(~states.finite), ""
+    """Return a check that fails if states have values that are not finite."""
+    lost = np.flatnonzero(~states.finite)
+    note = ""
     if len(lost):
         parts = {"Ψ": states.psi, "P": states.P, "A": states.A}
         names = ", ".join(n for n, part in parts.items() if not np.isfinite(part[lost[0]]).all())
@@ -145,12 +193,14 @@ def _check_finite(states: States) -> Check:
 
 
 def _differences(law: Law, F: Array) -> tuple[Array, Array]:
-    """P and A by central differences in all nine entries of F."""
-    P, A = np.empty((len(F), 3, 3)), np.empty((len(F), 3, 3, 3, 3))
+    """Return P, (n, 3, 3), and A, (n, 3, 3, 3, 3), by central differences in F."""
+    P = np.empty((len(F), 3, 3))
+    A = np.empty((len(F), 3, 3, 3, 3))
     for i, j in np.ndindex(3, 3):
         H = np.zeros((3, 3))
         H[i, j] = STEP
-        up, down = law(F + H), law(F - H)
+        up = law(F + H)
+        down = law(F - H)
         P[:, i, j] = (up.psi - down.psi) / (2 * STEP)
         A[..., i, j] = (up.P - down.P) / (2 * STEP)
     return P, A
@@ -192,7 +242,7 @@ class Report:
         rows = [[c.outcome, c.name, c.value, c.bound, c.note] for c in self.checks]
         parts = [
             _describe(self.material),
-            table(["", "check", "value", "bound", ""], rows),
+            text_table(["", "check", "value", "bound", ""], rows),
             "kPa: least eigenvalues, of the stiffness at rest and of the acoustic tensor",
             str(self.moduli) if self.moduli is not None else "no moduli",
         ]
@@ -219,6 +269,7 @@ def check(
     Raises:
         ValueError: A range does not hold the state of rest, or ``strain`` or ``n`` is too small.
     """
+    require_type(Material, material=material)
     ranges = {
         "λ": _range("stretches", stretches, above=0.0, rest=1.0, n=n),
         "γ": _range("shears", shears, above=-np.inf, rest=0.0, n=n),
@@ -242,7 +293,7 @@ def _check_finite_along(law: Law, paths: Sequence[MaterialTest]) -> Check:
     lost = [(path, k) for path in paths for k in np.flatnonzero(~law(path.F).finite)]
     note = ""
     for path, k in lost[:1]:
-        where = f"{state(path.symbol, path.values[k])} of {path.name}, {show(path.F[k])}"
+        where = f"{format_value(path.symbol, path.values[k])} of {path.name}, {show(path.F[k])}"
         note = f"the first at {where}"
     outcome = "fail" if lost else "pass"
     return Check("finite values along the paths", outcome, float(len(lost)), 0.0, note)
@@ -251,9 +302,11 @@ def _check_finite_along(law: Law, paths: Sequence[MaterialTest]) -> Check:
 def _check_stiffness(moduli: Moduli) -> Check:
     """Whether the reference is stable: the least eigenvalue of its stiffness is positive."""
     zero = ZERO_STIFFNESS * np.abs(moduli.stiffness).max()
-    outcome, note = "pass", "kPa"
+    outcome = "pass"
+    note = "kPa"
     if moduli.least < -zero:
-        outcome, note = "fail", "kPa; a wrong sign?"
+        outcome = "fail"
+        note = "kPa; a wrong sign?"
     elif not moduli.least > zero:
         outcome = "warn"
         note = "kPa; nothing resists a change of volume, or another strain: give a kappa?"
@@ -262,18 +315,20 @@ def _check_stiffness(moduli: Moduli) -> Check:
 
 def _check_ellipticity(scan: Ellipticity) -> Check:
     """Whether a path stays elliptic; a loss at rest is a failure, one further on a warning."""
-    path, missing = scan.path, np.isnan(scan.least)
+    path = scan.path
+    missing = np.isnan(scan.least)
     name = f"strongly elliptic, {path.name}"
     if missing.all():
         return Check(name, "fail", None, None, "no equilibrium at any state")
     k = int(np.nanargmin(scan.least))
-    outcome, notes = "pass", [f"kPa, at {state(path.symbol, path.values[k])}"]
+    outcome = "pass"
+    notes = [f"kPa, at {format_value(path.symbol, path.values[k])}"]
     if scan.lost:
         outcome = "fail" if scan.rest in scan.lost else "warn"
-        notes.append("lost at " + " and ".join(state(path.symbol, v) for v in scan.lost))
+        notes.append("lost at " + " and ".join(format_value(path.symbol, v) for v in scan.lost))
     if missing.any():
         lost = path.values[missing]
-        nearest = state(path.symbol, lost[np.abs(lost - scan.rest).argmin()])
+        nearest = format_value(path.symbol, lost[np.abs(lost - scan.rest).argmin()])
         outcome = "fail" if outcome == "fail" else "warn"
         notes.append(f"no equilibrium at {len(lost)} states, the nearest at {nearest}")
     return Check(name, outcome, float(scan.least[k]), None, "; ".join(notes))
@@ -292,6 +347,6 @@ def _range(name: str, ends: tuple[float, float], *, above: float, rest: float, n
 def _describe(material: Material) -> str:
     """Return what the material is, in one line."""
     words = {np.inf: "incompressible", 0.0: "psi as it is"}
-    kind = words.get(material.kappa, f"kappa = {number(material.kappa)} kPa")
-    values = [f"{name} = {number(value)}" for name, value in material.parameters.items()]
+    kind = words.get(material.kappa, f"kappa = {format_number(material.kappa)} kPa")
+    values = [f"{name} = {format_number(value)}" for name, value in material.parameters.items()]
     return ", ".join([f"material: {kind}", *values])

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from dolfinx_feti.mechanics.values import require_positive
+from dolfinx_feti.mechanics.values import require_positive, require_type
 from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import cofactor, equilibrate
@@ -61,9 +61,16 @@ class Response:
 
 
 def respond(material: Material, path: MaterialTest) -> Response:
-    """Compute the stresses along a path, which has free entries if a material is incompressible."""
+    """Compute the stresses along a path.
+
+    Raises:
+        ValueError: The material is incompressible, and the path has no free entries.
+    """
+    require_type(Material, material=material)
+    require_type(MaterialTest, path=path)
     F, p = equilibrate(material, path.F, path.free)
-    R, states = path.frame, evaluate(material, F)
+    R = path.frame
+    states = evaluate(material, F)
     pressure = p[:, None, None] if material.incompressible else 0.0
     P = R.T @ (states.P + pressure * cofactor(F)) @ R
     return Response(path, R.T @ F @ R, p, states.psi, P)
@@ -89,7 +96,8 @@ class DataSet:
         """Check the values."""
         values = np.array(self.stress, dtype=np.float64)
         shape = (len(self.path.values), len(self.path.measured))
-        if values.shape != shape and values.shape != shape[: 2 - (shape[1] == 1)]:
+        has_one_column = shape[1] == 1 and values.shape == shape[:1]
+        if values.shape != shape and not has_one_column:
             raise ValueError(
                 f"stress has the shape {values.shape}: the {self.path.name} path with {shape[0]} "
                 f"states needs {shape}."
@@ -110,6 +118,7 @@ def stresses(response: Response, measure: Measure) -> Array:
 
 
 def _check_measure(measure: Measure) -> None:
+    """Raise a ValueError if a measure is unknown."""
     if measure not in get_args(Measure):
         raise ValueError(f"measure = {measure!r}: choose 'cauchy' or 'piola'.")
 
@@ -143,7 +152,8 @@ def plot_responses(
 
     figure = Figure(figsize=(4.8, 3.8), layout="constrained")
     ax = figure.subplots()
-    for parts, style in ((curves, "-"), ([(d.name, d.path, d.stress) for d in data], "o")):
+    points = [(d.name, d.path, d.stress) for d in data]
+    for parts, style in ((curves, "-"), (points, "o")):
         for name, path, values in parts:
             for (i, j), column in zip(path.measured, values.T, strict=True):
                 ax.plot(path.values, column, style, markersize=4, label=f"{name}, {i + 1}{j + 1}")

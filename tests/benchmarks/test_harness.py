@@ -22,7 +22,7 @@ from benchmarks.common import records as module
 from benchmarks.common.records import Records
 from benchmarks.common.study import Study
 from dolfinx_feti import ConvergenceError
-from meshes.arguments import count
+from dolfinx_feti.meshes.arguments import count
 
 pytest.importorskip("matplotlib")
 
@@ -30,7 +30,8 @@ pytest.importorskip("matplotlib")
 def test_record_of_the_first_process_counts(tmp_path):
     """Times differ from process to process; what is kept, in the place of the last, does not."""
     path = tmp_path / "new/records.json"
-    records, key = Records(path, COMM), {"case": 1}
+    records = Records(path, COMM)
+    key = {"case": 1}
     for seconds in (COMM.rank, COMM.rank + 7):
         stored = records.keep(key, {"seconds": seconds})
         agree(stored["case"] == 1 and stored["seconds"] == seconds - COMM.rank, stored)
@@ -70,23 +71,60 @@ def test_line_that_cannot_be_printed_ends_all_processes():
         command.say("a line", COMM, Broken())
 
 
-def squares(run=None, **changes: object) -> Study:
+def is_square(record) -> bool:
+    return "x" in record
+
+
+def add_numbers(parser) -> None:
+    parser.add_argument("--x", type=command.several(count))
+
+
+def numbers(args, _comm):
+    for x in args.x:
+        yield {"x": x}
+
+
+def square(case, keep, _args, _comm) -> None:
+    keep({}, {"square": case["x"] ** 2})
+
+
+def rows(records):
+    return {"rows": records}
+
+
+def squares(run=square, **changes: object) -> Study:
     """Return a study that squares numbers."""
-
-    def square(case, keep, _args, _comm) -> None:
-        keep({}, {"square": case["x"] ** 2})
-
     return Study(
         file=str(Path(__file__).with_name("squares.py")),
         about="Squares.",
         page="squares",
-        known=lambda record: "x" in record,
-        options=lambda parser: parser.add_argument("--x", type=command.several(count)),
-        cases=lambda args, _comm: ({"x": x} for x in args.x),
-        run=run or square,
-        fields=lambda records: {"rows": records},
+        known=is_square,
+        options=add_numbers,
+        cases=numbers,
+        run=run,
+        fields=rows,
         **changes,
     )
+
+
+def test_cases_are_listed(capsys):
+    agree(squares().main(["--x", "2,3", "--list"], COMM) == [])
+    agree(COMM.bcast(capsys.readouterr().out) == "x=2\nx=3\n")
+
+
+def test_one_case_is_run():
+    agree([record["square"] for record in squares().main(["--x", "2,3", "--only", "x=3"])] == [9])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [("x=4", "no case has x=4; --list"), ("y=2", "no case has y=2"), ("x", "write NAME=VALUE")],
+)
+def test_no_case_is_chosen(words, said, capsys):
+    with pytest.raises(SystemExit) as caught:
+        squares().main(["--x", "2,3", "--only", words], COMM)
+    found = COMM.bcast(capsys.readouterr().err)
+    agree(caught.value.code == 2 and said in found, found)
 
 
 def test_study_runs_what_its_file_lacks(tmp_path, capsys):
@@ -97,7 +135,12 @@ def test_study_runs_what_its_file_lacks(tmp_path, capsys):
     said = COMM.bcast(capsys.readouterr().out)
     agree([json.loads(said)] == first, said)
     work = []
-    study = squares(run=lambda case, keep, *_: work.append(case) or keep({}, {"square": -1}))
+
+    def negate(case, keep, _args, _comm) -> None:
+        work.append(case)
+        keep({}, {"square": -1})
+
+    study = squares(negate)
     records = study.main(["--x", "2,3", "--json", file], COMM)
     agree([r["square"] for r in records] == [4, -1] and work == [{"x": 3}], records)
     said = COMM.bcast(capsys.readouterr().out)

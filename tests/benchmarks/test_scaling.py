@@ -39,7 +39,8 @@ main = scaling.STUDY.main
 
 @pytest.mark.skipif(not shutil.which("mpicc"), reason="there is no mpicc")
 def test_small_case_is_measured_and_counted(tmp_path, capsys):
-    file, folder = tmp_path / "scaling.json", tmp_path / "walls"
+    file = tmp_path / "scaling.json"
+    folder = tmp_path / "walls"
     shared = f"--count 2 --folder {folder}".split()
     words = [*SMALL, *shared, *f"--size 1 --processes 1 --json {file}".split()]
     main(words)

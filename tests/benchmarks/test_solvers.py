@@ -23,6 +23,7 @@ from walls import tube, wall
 import dolfinx_feti
 from benchmarks import compare
 from benchmarks.common import bodies
+from benchmarks.common.compare import tables
 from benchmarks.common.compare.opponents import OPPONENTS
 from dolfinx_feti import ConvergenceError, LinearProblem, loads
 from dolfinx_feti.comparison import assembled_system
@@ -69,7 +70,8 @@ def test_block_is_clamped_on_five_faces():
     """The nodes of the sixth face that are on no other one are free."""
     block = bodies.create_neo_hookean(COMM, 5, dofs=400, kappa=10.0)
     V = block.u.function_space
-    x, free = V.tabulate_dof_coordinates(), np.ones(len(block.u.x.array))
+    x = V.tabulate_dof_coordinates()
+    free = np.ones(len(block.u.x.array))
     inside = (x[:, 1:] > 1e-6).all(axis=1) & (x[:, 1:] < 1 - 1e-6).all(axis=1) & (x[:, 0] > 1e-6)
     for bc in block.problem.bcs:
         bc.set(free)
@@ -154,6 +156,26 @@ def test_sweep_over_subdomains(geometry, tmp_path):
     if COMM.size == 1:
         text = compare.STUDY.write_page([path], tmp_path)
         agree(f"| {geometry} | {few['degree']} | 1 | {few['dofs']} | – | – |" in text, text)
+
+
+@pytest.mark.parametrize("geometry", ["cube", *bodies.PLATES, *bodies.INCLUSIONS])
+def test_formulations_on_compressible_bodies(geometry, tmp_path):
+    """Both come to MUMPS's solution; the page has a row of both, and a figure."""
+    path = tmp_path / "compare.json"
+    names = ["feti", "feti-dual", "mumps"]
+    words = ["--geometry", geometry, "--degree", "1", "--dofs", "600", "--json", str(path)]
+    words += ["--subdomains", "4", "--solvers", ",".join(names)]
+    records = main(words)
+    agree(sorted(r["solver"] for r in records) == sorted(names), records)
+    for record in records:
+        agree(record["converged"] and record["note"] == "", record)
+        agree(300 < record["dofs"] < 1200 and record["kappa"] is None, record)
+        small(record["difference_to_mumps"], 1e-3)
+    if COMM.size == 1:
+        text = compare.STUDY.write_page([path], tmp_path)
+        body = tables.COMPRESSIBLE[geometry]
+        assert text.count(f"| {body} |") == 1 + len(names), text
+        assert "FETI, dual" in text
 
 
 def test_records_of_other_threads_and_solvers_are_run(tmp_path, monkeypatch):

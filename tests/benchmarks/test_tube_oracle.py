@@ -58,7 +58,8 @@ STRESSED = (
 def test_equilibrium_and_surfaces(kappa, stretch, layers):
     pressure = 100 * KPA_PER_MMHG
     tube = inflate(pressure, Wall(kappa=kappa, stretch=stretch, layers=layers))
-    inner, outer = tube.wall.layers[0].inner, tube.wall.layers[-1].outer
+    inner = tube.wall.layers[0].inner
+    outer = tube.wall.layers[-1].outer
     assert abs(tube.stress(inner)[0] + pressure) <= 1e-8 * pressure
     assert abs(tube.stress(outer)[0]) <= 1e-8 * pressure
     for R in (0.75, 0.9, 1.0, 1.08):  # r dσ_rr/dr = σ_θθ − σ_rr
@@ -85,7 +86,10 @@ def test_tube_that_is_pulled_alone(stretch):
 @pytest.mark.parametrize("kappa", [np.inf, 1000.0])
 def test_prestretched_layer_is_a_tube_that_is_pulled(kappa):
     """Without stress it is a tube, R² = ρ₀² + Λ (ρ² − ρ₀²); pulled by Λ this is ours."""
-    stretch, (inner, outer), middle = 1.3, (0.8, 1.1), 0.95
+    stretch = 1.3
+    inner = 0.8
+    outer = 1.1
+    middle = 0.95
     free = [np.sqrt(middle**2 + stretch * (ρ**2 - middle**2)) for ρ in (inner, outer)]
     ours = inflate(5.0, Wall(kappa=kappa, layers=(Layer(inner, outer, 40.0, stretch=stretch),)))
     pulled = inflate(5.0, Wall(kappa=kappa, layers=(Layer(*free, 40.0),), stretch=stretch))

@@ -16,9 +16,9 @@ from mpi4py import MPI
 import numpy as np
 from wall_files import EXAMPLE, ROOT
 
+from dolfinx_feti.meshes.wall_mesh import write_msh
 from dolfinx_feti.wall import read_wall, write_wall
 from dolfinx_feti.wall.wallfile import RawWall, read_raw_wall
-from meshes.wall_mesh import write_msh
 
 CASE = (ROOT / "demos/wall.toml").read_text(encoding="utf-8")
 
@@ -84,43 +84,85 @@ text("unknown.dat0", "3 4 5\n", "cannot read .*unknown.dat0")
 
 # -- meshes
 
-changed("nan.msh", "coordinates that are not finite|cannot read",
-        points=lambda m: with_rows(m.points, 5, np.nan))  # fmt: skip
-changed("infinite.msh", "coordinates that are not finite|cannot read",
-        points=lambda m: with_rows(m.points, 5, [1e999, 0, 0]))  # fmt: skip
+changed(
+    "nan.msh",
+    "coordinates that are not finite|cannot read",
+    points=lambda m: with_rows(m.points, 5, np.nan),
+)
+changed(
+    "infinite.msh",
+    "coordinates that are not finite|cannot read",
+    points=lambda m: with_rows(m.points, 5, [1e999, 0, 0]),
+)
 changed("plane.msh", "have no volume", points=lambda m: m.points * [1, 1, 0])
-changed("inverted.msh", "3 tetrahedra of .* are inverted",
-        cells=lambda m: with_rows(m.cells, slice(3), m.cells[:3, [1, 0, 2, 3]]))  # fmt: skip
-changed("folded.msh", "are inverted|no volume",
-        points=lambda m: with_rows(
-            m.points, m.cells[0, 0], 3.0 * m.points[m.cells[0, 0]] + 1.0))  # fmt: skip
-changed("cell_twice.msh", "1 tetrahedra of .* occur twice",
-        cells=lambda m: np.vstack([m.cells, m.cells[:1]]),
-        layers=lambda m: np.append(m.layers, 3 - m.layers[0]))  # fmt: skip
-changed("non_manifold.msh", "faces of more than two tetrahedra|inverted",
-        points=lambda m: np.vstack([m.points, [[9.0, 9, 9], [9, 9, 10]]]),
-        cells=lambda m: np.vstack(
-            [m.cells, [[*m.cells[0, :3], len(m.points) + k] for k in (0, 1)]]),
-        layers=lambda m: np.append(m.layers, [1, 1]))  # fmt: skip
-changed("lost_points.msh", "points that are not in the file|cannot read",
-        cells=lambda m: with_rows(m.cells, 7, m.cells[7] + len(m.points)))  # fmt: skip
-changed("facet_twice.msh", "triangles of .* have two tags",
-        facets=lambda m: np.vstack([m.facets, m.facets[:2]]),
-        surfaces=lambda m: np.append(m.surfaces, [12, 12]))  # fmt: skip
-changed("cells_without_group.msh", "5 cells of .* are in no physical volume",
-        layers=lambda m: np.where(np.arange(len(m.cells)) < 5, 0, m.layers))  # fmt: skip
-changed("layer_without_name.msh", "no name for some cells.*nameless = 777",
-        layers=lambda m: np.where(np.arange(len(m.cells)) < 5, 777, m.layers))  # fmt: skip
-changed("flat_cell.msh", "1 tetrahedra of .* have no volume",
-        cells=lambda m: np.vstack([m.cells, m.cells[:1, [0, 1, 2, 2]]]),
-        layers=lambda m: np.append(m.layers, 1))  # fmt: skip
-changed("stray_facet.msh", "1 tagged triangles of .* are not faces",
-        facets=lambda m: np.vstack([m.facets, [[0, 1, len(m.points) - 1]]]),
-        surfaces=lambda m: np.append(m.surfaces, 3))  # fmt: skip
-changed("surfaces_alone.msh", "no named layer",
-        cells=lambda m: m.cells[:0], layers=lambda m: m.layers[:0])  # fmt: skip
-changed("no_surface.msh", "no named surface",
-        facets=lambda m: m.facets[:0], surfaces=lambda m: m.surfaces[:0])  # fmt: skip
+changed(
+    "inverted.msh",
+    "3 tetrahedra of .* are inverted",
+    cells=lambda m: with_rows(m.cells, slice(3), m.cells[:3, [1, 0, 2, 3]]),
+)
+changed(
+    "folded.msh",
+    "are inverted|no volume",
+    points=lambda m: with_rows(m.points, m.cells[0, 0], 3.0 * m.points[m.cells[0, 0]] + 1.0),
+)
+changed(
+    "cell_twice.msh",
+    "1 tetrahedra of .* occur twice",
+    cells=lambda m: np.vstack([m.cells, m.cells[:1]]),
+    layers=lambda m: np.append(m.layers, 3 - m.layers[0]),
+)
+changed(
+    "non_manifold.msh",
+    "faces of more than two tetrahedra|inverted",
+    points=lambda m: np.vstack([m.points, [[9.0, 9, 9], [9, 9, 10]]]),
+    cells=lambda m: np.vstack([m.cells, [[*m.cells[0, :3], len(m.points) + k] for k in (0, 1)]]),
+    layers=lambda m: np.append(m.layers, [1, 1]),
+)
+changed(
+    "lost_points.msh",
+    "points that are not in the file|cannot read",
+    cells=lambda m: with_rows(m.cells, 7, m.cells[7] + len(m.points)),
+)
+changed(
+    "facet_twice.msh",
+    "triangles of .* have two tags",
+    facets=lambda m: np.vstack([m.facets, m.facets[:2]]),
+    surfaces=lambda m: np.append(m.surfaces, [12, 12]),
+)
+changed(
+    "cells_without_group.msh",
+    "5 cells of .* are in no physical volume",
+    layers=lambda m: np.where(np.arange(len(m.cells)) < 5, 0, m.layers),
+)
+changed(
+    "layer_without_name.msh",
+    "no name for some cells.*nameless = 777",
+    layers=lambda m: np.where(np.arange(len(m.cells)) < 5, 777, m.layers),
+)
+changed(
+    "flat_cell.msh",
+    "1 tetrahedra of .* have no volume",
+    cells=lambda m: np.vstack([m.cells, m.cells[:1, [0, 1, 2, 2]]]),
+    layers=lambda m: np.append(m.layers, 1),
+)
+changed(
+    "stray_facet.msh",
+    "1 tagged triangles of .* are not faces",
+    facets=lambda m: np.vstack([m.facets, [[0, 1, len(m.points) - 1]]]),
+    surfaces=lambda m: np.append(m.surfaces, 3),
+)
+changed(
+    "surfaces_alone.msh",
+    "no named layer",
+    cells=lambda m: m.cells[:0],
+    layers=lambda m: m.layers[:0],
+)
+changed(
+    "no_surface.msh",
+    "no named surface",
+    facets=lambda m: m.facets[:0],
+    surfaces=lambda m: m.surfaces[:0],
+)
 
 
 def box(name: str, match: str, *groups: tuple[int, str], dim: int = 3, **options: float) -> None:
@@ -149,11 +191,22 @@ def box(name: str, match: str, *groups: tuple[int, str], dim: int = 3, **options
     broken(name, match, write)
 
 
-MEDIA, LUMEN = (3, "media"), (2, "lumen")
-box("two_groups.msh", "Volume 1 of .* is in two physical groups, 'media' and 'tissue'",
-    MEDIA, (3, "tissue"), LUMEN)  # fmt: skip
-box("surface_in_two_groups.msh", "Surface 1 of .* is in two physical groups",
-    MEDIA, LUMEN, (2, "outer"))  # fmt: skip
+MEDIA = (3, "media")
+LUMEN = (2, "lumen")
+box(
+    "two_groups.msh",
+    "Volume 1 of .* is in two physical groups, 'media' and 'tissue'",
+    MEDIA,
+    (3, "tissue"),
+    LUMEN,
+)
+box(
+    "surface_in_two_groups.msh",
+    "Surface 1 of .* is in two physical groups",
+    MEDIA,
+    LUMEN,
+    (2, "outer"),
+)
 box("square.msh", "no named layer", (2, "media"), (1, "lumen"), dim=2)
 box("cut_binary.msh", "gmsh cannot read .*cut_binary.msh", MEDIA, LUMEN, Binary=1)
 box("third_order.msh", "elements of type Tetrahedron 20", MEDIA, LUMEN, ElementOrder=3)
@@ -239,7 +292,8 @@ def alone(name: str, kind: str, nodes: int, match: str, *data: str) -> None:
     def write(path: Path) -> None:
         import meshio
 
-        points, cells = np.random.default_rng(9134).random((nodes, 3)), np.arange(nodes)[None]
+        points = np.random.default_rng(9134).random((nodes, 3))
+        cells = np.arange(nodes)[None]
         ones = {key: [np.ones(1, dtype=np.int32)] for key in data}
         how = {"file_format": "gmsh22", "binary": False} if path.suffix == ".msh" else {}
         meshio.Mesh(points, [(kind, cells)], cell_data=ones).write(path, **how)
@@ -262,7 +316,7 @@ for name, content, match in (
     ("noise.toml", NOISE, "is no TOML file"),
     ("cut.toml", CASE[: CASE.index("= 3.0") + 1], "is no TOML file"),
     ("deep.toml", "a = " + "[" * 5000, "is no TOML file"),
-    ("tables.toml", CASE.replace("[layers.media]", "[[layers.media]]"), "to be a table"),
+    ("tables.toml", CASE.replace("[layers.media]", "[[layers.media]]"), "give a table"),
     ("nan.toml", CASE.replace("c = 3.0", "c = nan"), "c = nan: give a positive"),
     ("huge.toml", CASE.replace("c = 3.0", f"c = 1{'0' * 400}"), "give a positive"),
     ("utf16.toml", CASE.encode("utf-16"), "is no TOML file"),

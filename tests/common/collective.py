@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What tests on several processes need: asserts that fail on all, whole matrices, what is left."""
+"""For tests on several processes: assertions that fail on all, global matrices, PETSc's garbage."""
 
 from __future__ import annotations
 
@@ -12,43 +12,96 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import NoReturn
 
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+from explain import argument, explain
 
 Array = npt.NDArray[np.float64]
 
 COMM = MPI.COMM_WORLD
 
 
-def agree(ok: object, what: object = "") -> None:
-    """Assert on all processes that ``ok`` holds on each: no process goes on alone."""
-    said = COMM.allgather(None if ok else str(what))
-    wrong = {rank: text for rank, text in enumerate(said) if text is not None}
-    assert not wrong, wrong
+def agree(ok: object, context: object = "") -> None:
+    """Assert on all processes that a condition holds on each, so that no process goes on alone.
+
+    A failure shows the condition as it is written in the test, the values of its operands on each
+    process where it fails, and the context.
+    """
+    __tracebackhide__ = True
+    fails = COMM.allgather(not ok)
+    if not any(fails):
+        return
+    explanation = explain(sys._getframe(1))  # on all processes: operands may be collective
+    _fail_together(fails, f"{explanation}\n    {context}" if context != "" else explanation)
 
 
 def small(error: float, tolerance: float) -> None:
-    """Assert on all processes that an error is below a tolerance on each; NaN is not."""
-    agree(abs(error) <= tolerance, f"{error} > {tolerance}")
+    """Assert on all processes that abs(error) ≤ tolerance on each; NaN fails."""
+    __tracebackhide__ = True
+    fails = COMM.allgather(not abs(error) <= tolerance)
+    if any(fails):
+        expression = argument(sys._getframe(1), 0)
+        _fail_together(fails, f"|{expression}| = {abs(error)} > {tolerance}")
 
 
 def equal(actual: npt.ArrayLike, expected: npt.ArrayLike, tolerance: float = 0.0) -> None:
-    """Assert on all processes that arrays agree to a tolerance relative to the largest entry."""
-    actual, expected = np.asarray(actual, dtype=float), np.asarray(expected, dtype=float)
-    agree(actual.shape == expected.shape, f"shapes {actual.shape} and {expected.shape}")
+    """Assert on all processes that arrays agree to a tolerance relative to the largest entry.
+
+    Args:
+        actual: Array of any shape.
+        expected: Array of the same shape; its largest entry scales the tolerance.
+        tolerance: Largest difference relative to that entry; 0 asks for equal numbers.
+    """
+    __tracebackhide__ = True
+    actual = np.asarray(actual, dtype=float)
+    expected = np.asarray(expected, dtype=float)
+    caller = sys._getframe(1)
+    fails = COMM.allgather(actual.shape != expected.shape)
+    if any(fails):
+        shapes = f"have shapes {actual.shape} and {expected.shape}"
+        _fail_together(fails, f"{argument(caller, 0)} and {argument(caller, 1)} {shapes}")
     scale = np.abs(expected).max(initial=0.0) if tolerance else 1.0
+    allowed = tolerance * max(scale, 1e-300)
     error = np.abs(actual - expected).max(initial=0.0)
-    agree(error <= tolerance * max(scale, 1e-300), f"{error} with a scale of {scale}")
+    fails = COMM.allgather(not error <= allowed)
+    if any(fails):
+        compared = f"{argument(caller, 0)} and {argument(caller, 1)}"
+        place = largest_difference(actual, expected)
+        _fail_together(fails, f"{compared} differ by {error} > {allowed} {place}")
 
 
 def uniform(values: npt.ArrayLike, value: float, tolerance: float) -> None:
     """Assert on all processes that all entries have one value, to an absolute tolerance."""
-    error = np.abs(np.asarray(values) - value).max(initial=0.0)
-    agree(error <= tolerance, f"{error} > {tolerance}")
+    __tracebackhide__ = True
+    entries = np.asarray(values, dtype=float)
+    error = np.abs(entries - value).max(initial=0.0)
+    fails = COMM.allgather(not error <= tolerance)
+    if any(fails):
+        expression = argument(sys._getframe(1), 0)
+        place = largest_difference(entries, np.full_like(entries, value))
+        _fail_together(fails, f"{expression} differs by {error} > {tolerance} {place}")
+
+
+def largest_difference(actual: Array, expected: Array) -> str:
+    """Return where arrays of one shape differ most, or where the first NaN is, and both entries."""
+    if actual.size == 0:
+        return "(no entries)"
+    place = np.unravel_index(np.argmax(np.abs(actual - expected)), actual.shape)
+    index = ", ".join(str(int(i)) for i in place)
+    return f"(entry [{index}]: {actual[place]} instead of {expected[place]})"
+
+
+def _fail_together(fails: list[bool], message: str) -> NoReturn:
+    """Raise an AssertionError on all processes, with the messages of those where a check fails."""
+    __tracebackhide__ = True
+    messages = COMM.allgather(message)
+    wrong = [rank for rank, fail in enumerate(fails) if fail]
+    raise AssertionError("\n".join(f"rank {rank}: {messages[rank]}" for rank in wrong))
 
 
 @contextmanager
@@ -89,7 +142,9 @@ def lu_solve(A: PETSc.Mat, b: PETSc.Vec) -> Array:
     ksp.setType(PETSc.KSP.Type.PREONLY)
     ksp.getPC().setType(PETSc.PC.Type.LU)
     ksp.getPC().setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
-    x, dx, r = A.createVecRight(), A.createVecRight(), b.copy()
+    x = A.createVecRight()
+    dx = A.createVecRight()
+    r = b.copy()
     for _ in range(2):
         ksp.solve(r, dx)
         x.axpy(1.0, dx)
@@ -102,7 +157,7 @@ def lu_solve(A: PETSc.Mat, b: PETSc.Vec) -> Array:
 
 
 def dense(M: PETSc.Mat) -> Array:
-    """Bring a distributed matrix to all processes."""
+    """Return all of a distributed matrix on all processes, (N, N)."""
     indptr, indices, values = M.getValuesCSR()
     rows = np.zeros((len(indptr) - 1, M.getSize()[1]))
     np.add.at(rows, (np.repeat(np.arange(len(rows)), np.diff(indptr)), indices), values)
@@ -110,7 +165,12 @@ def dense(M: PETSc.Mat) -> Array:
 
 
 def matrix_of_map(apply: Callable[[Array], Array], n: int) -> Array:
-    """Bring the matrix of a map of local parts to all processes; n is the size of this one's."""
+    """Return the matrix of a linear map on all processes, (N, N).
+
+    Args:
+        apply: Maps a part of a vector, (n,), to one of the result; collective.
+        n: Number of entries of this process.
+    """
     last = COMM.scan(n)
     mine = np.arange(last - n, last)
     columns = [apply((mine == j).astype(np.float64)) for j in range(COMM.allreduce(n))]

@@ -71,7 +71,8 @@ class Machine:
         """Copy the scripts, link the real tools and write the played ones."""
         self.folder = folder
         self.checkout = folder / "check out"  # the blank has to survive all quoting
-        self.bin, self.trees = folder / "bin", folder / "trees"  # all of PATH, and Debian's trees
+        self.bin = folder / "bin"
+        self.trees = folder / "trees"  # all of PATH, and Debian's trees
         shutil.copytree(CHECKOUT / "scripts", self.checkout / "scripts")
         self.bin.mkdir()
         for tool in REAL_TOOLS:

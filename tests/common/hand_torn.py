@@ -27,7 +27,8 @@ Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.int64]
 
-YOUNG, POISSON = 210.0, 0.3
+YOUNG = 210.0
+POISSON = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +86,8 @@ class HandTorn:
     def solve(self, b: Array) -> Array:
         """Solve the assembled problem, the values of Dirichlet dofs being in ``b``."""
         K = self.matrix
-        x, free = np.where(self.dirichlet, b, 0.0), ~self.dirichlet
+        x = np.where(self.dirichlet, b, 0.0)
+        free = ~self.dirichlet
         x[free] = np.linalg.solve(K[np.ix_(free, free)], (b - K @ x)[free])
         return x
 
@@ -117,7 +119,7 @@ def each_matrix(alter: Callable[[Array, np.random.Generator], None]) -> Change:
 
 
 def softened(share: float) -> Change:
-    """Take a share of the stiffness from each subdomain: they buckle alone, or the whole does."""
+    """Reduce the stiffness of each subdomain by a share, so that it, or the whole, buckles."""
 
     def alter(K_i: Array, _rng: object) -> None:
         K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
@@ -127,14 +129,18 @@ def softened(share: float) -> Change:
 
 def scaled_diagonal(factor: float) -> Change:
     """Multiply the diagonal of each subdomain: tension or, below one, compression."""
-    return each_matrix(lambda K_i, _rng: np.fill_diagonal(K_i, factor * K_i.diagonal()))
+
+    def alter(K_i: Array, _rng: object) -> None:
+        np.fill_diagonal(K_i, factor * K_i.diagonal())
+
+    return each_matrix(alter)
 
 
 def unsymmetric(share: float, *, skew: bool = False) -> Change:
     """Add a share of random entries to the local matrices, which leave K + Kᵀ or not."""
 
     def alter(K_i: Array, rng: np.random.Generator) -> None:
-        X = rng.standard_normal(K_i.shape) * (K_i != 0.0)
+        X = np.where(K_i != 0.0, rng.standard_normal(K_i.shape), 0.0)
         K_i += share * np.abs(K_i).max() * (X - X.T if skew else X)
 
     return each_matrix(alter)
@@ -144,8 +150,9 @@ def one_sided(share: float) -> Change:
     """Add a share of random entries, a_ij where neither a_ij nor a_ji was in the pattern."""
 
     def alter(K_i: Array, rng: np.random.Generator) -> None:
-        X = rng.standard_normal(K_i.shape) * (rng.random(K_i.shape) < 0.01)
-        K_i += share * np.abs(K_i).max() * np.tril(X * (K_i == 0.0))
+        X = rng.standard_normal(K_i.shape)
+        is_new = (rng.random(K_i.shape) < 0.01) & (K_i == 0.0)
+        K_i += share * np.abs(K_i).max() * np.tril(np.where(is_new, X, 0.0))
 
     return each_matrix(alter)
 
@@ -171,7 +178,8 @@ def grid(
     x = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
     x = x.reshape(-1, len(shape)).astype(np.float64)
     pattern, K_0 = brick(cells, components)
-    K, dofs = [], []
+    K = []
+    dofs = []
     for i, corner in enumerate(itertools.product(*map(range, subdomains))):
         inside = np.ix_(*[c * n + np.arange(n + 1) for c, n in zip(corner, cells, strict=True)])
         nodes = np.arange(len(x)).reshape(shape)[inside].ravel()
@@ -223,13 +231,25 @@ def tear(
     *,
     pattern: Array | None = None,
     n_modes: int | None = None,
+    entries: bool = False,
 ) -> HandTorn:
-    """Distribute subdomains over the processes and wrap them as a torn matrix."""
-    bs, n = len(dirichlet) // len(x), len(dirichlet)
+    """Distribute subdomains over the processes and wrap them as a torn matrix.
+
+    Args:
+        K: Matrix of each subdomain, (n_i, n_i).
+        dofs: Their dofs, (n_i,).
+        x: Coordinates of the nodes, (nodes, dim).
+        modes: Kernel without Dirichlet conditions, (dofs, n_modes).
+        dirichlet: Mask of the prescribed dofs, (dofs,).
+        pattern: That of all matrices; full if not given.
+        n_modes: How many modes are attached; all if not given.
+        entries: Whether a matrix has the pattern of its entries that are not zero.
+    """
+    bs = len(dirichlet) // len(x)
+    n = len(dirichlet)
     mine = own_subdomains(len(K))
-    local = block_matrix(
-        [(K[i], np.ones_like(K[i]) if pattern is None else pattern) for i in mine], bs
-    )
+    every = [K_i != 0.0 if entries else np.ones_like(K_i) for K_i in K]
+    local = block_matrix([(K[i], every[i] if pattern is None else pattern) for i in mine], bs)
     blocks = [dofs[i][::bs] // bs for i in mine]
     ends = [len(x) * (COMM.rank + j) // COMM.size * bs for j in (0, 1)]
     A = dolfinx_feti.create_torn_matrix(
@@ -239,7 +259,7 @@ def tear(
         comm=COMM,
         dirichlet=np.flatnonzero(dirichlet[slice(*ends)]) + ends[0],
     )
-    parts = [np.ascontiguousarray(mode[slice(*ends)]) for mode in modes.T[:n_modes]]
+    parts = [mode[slice(*ends)].copy() for mode in modes.T[:n_modes]]  # orthonormalised in place
     vectors = [PETSc.Vec().createWithArray(part, (len(part), n), comm=COMM) for part in parts]
     dolfinx_feti.set_near_kernel(A, vectors, x[ends[0] // bs : ends[1] // bs])
     for vector in vectors:
@@ -270,7 +290,8 @@ def assembled(
 ) -> tuple[Array, Array]:
     """Assemble the matrices of cells, of which the nodes are given: the pattern and the matrix."""
     size = (1 + max(nodes.max() for nodes in cells)) * components
-    K, pattern = np.zeros((size, size)), np.zeros((size, size))
+    K = np.zeros((size, size))
+    pattern = np.zeros((size, size))
     for nodes, K_e in zip(cells, matrices, strict=True):
         rows = dofs_of(nodes, components)
         K[np.ix_(rows, rows)] += K_e
@@ -280,7 +301,8 @@ def assembled(
 
 def element(dim: int, components: int) -> Array:
     """Stiffness of a unit cell, whose multilinear shape functions are products over the axes."""
-    M, K = np.array([[2, 1], [1, 2]]) / 6, np.array([[1, -1], [-1, 1]])  # ∫ φ_a φ_b, ∫ φ_a' φ_b'
+    M = np.array([[2, 1], [1, 2]]) / 6
+    K = np.array([[1, -1], [-1, 1]])  # ∫ φ_a φ_b, ∫ φ_a' φ_b'
     D = np.array([[-1, -1], [1, 1]]) / 2  # ∫ φ_a' φ_b
 
     def product(i: int, j: int) -> Array:
@@ -313,7 +335,8 @@ def kernel(x: Array, components: int) -> Array:
     if components > 1:
         for i, j in itertools.combinations(range(components), 2):
             spin = np.zeros((components, components))
-            spin[i, j], spin[j, i] = 1.0, -1.0
+            spin[i, j] = 1.0
+            spin[j, i] = -1.0
             modes.append((x @ spin.T).ravel())
     return np.column_stack(modes)
 

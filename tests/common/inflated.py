@@ -11,17 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from collective import COMM
-from problems import curved, dirichlet, tagged
+from problems import dirichlet, tagged
 
 import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, materials
+from dolfinx_feti.meshes.curved import curved
+from dolfinx_feti.meshes.octant import create_octant
 from dolfinx_feti.scalars import Cavity
-from meshes.octant import create_octant
 
 Array = npt.NDArray[np.float64]
-INNER, OUTER = 1.0, 1.1
+INNER = 1.0
+OUTER = 1.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,8 @@ def body(
         for axis, place in planes
     ]
     F = kinematics.deformation_gradient(u)
-    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    C = kinematics.right_cauchy_green(F)
+    J = kinematics.jacobian(F)
     psi = materials.neo_hookean(C, c=stiffness, J=J)
     psi += materials.perturbed_lagrangian(J, p, kappa * stiffness)
     return Body(u, p, bcs, tagged(mesh, *surfaces), psi * ufl.dx)
@@ -129,5 +132,6 @@ def tube_volume(inner: float) -> float:
 def tube_pressure(volume: float) -> float:
     """Return P/μ of the incompressible tube with a volume in its lumen."""
     square = volume / tube_volume(1.0)  # a², with A = 1
-    a, b = np.sqrt(square), np.sqrt(1.5**2 + square - 1.0) / 1.5  # stretches
+    a = np.sqrt(square)
+    b = np.sqrt(1.5**2 + square - 1.0) / 1.5  # stretches
     return float(np.log(a / b) + (b**-2 - a**-2) / 2.0)

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from collective import agree, equal
 
+from dolfinx_feti.meshes import tube
 from dolfinx_feti.wall.wallfile import RawWall
-from meshes import tube
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]

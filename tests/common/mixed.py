@@ -69,7 +69,7 @@ class Block:
         return ufl.derivative(self.F_u, self.u, ufl.TrialFunction(self.u.function_space))
 
     def deform(self) -> None:
-        """Take a state that obeys no equation."""
+        """Set a state that satisfies no equation."""
         self.u.interpolate(
             lambda x: 0.05 * (np.sin(2 * np.roll(x, 1, 0)) + x[0] * x[1])[: len(self.u)]
         )
@@ -82,7 +82,8 @@ def block(comm: MPI.Comm, element: str, kappa: float, n: int = 3) -> Block:
     cell, degree, pressures = ELEMENTS[element]
     kind = getattr(dolfinx.mesh.CellType, cell)
     mesh = cube(3 if "hedron" in cell else 2, n, kind, comm)
-    x, d = mesh.geometry.x, mesh.geometry.dim
+    x = mesh.geometry.x
+    d = mesh.geometry.dim
     x[:, :d] += 0.05 * np.sin(3 * np.roll(x[:, :d], 1, axis=1)) * x[:, :1]
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (d,)))
     u = dolfinx.fem.Function(V, name="u")
@@ -111,7 +112,8 @@ class Mixed:
 
     def __init__(self, body: Wall | Block) -> None:
         self.body = body
-        rows, unknowns = (body.F_u, *body.F_fields), (body.u, *body.fields)
+        rows = (body.F_u, *body.F_fields)
+        unknowns = (body.u, *body.fields)
         self._r = [compiled(F) for F in rows]
         blocks = [[ufl.derivative(F, f) for f in unknowns] for F in rows]
         blocks[0][0] = body.J
@@ -142,7 +144,7 @@ class Mixed:
         return step[:n], step[n:]
 
     def go(self) -> Array:
-        """Take Newton's step, and return Δu."""
+        """Make one Newton step; return Δu."""
         du, dp = self.step()
         self.body.u.x.array[:] += du
         ends = np.cumsum([len(p.x.array) for p in self.body.fields])
@@ -151,7 +153,7 @@ class Mixed:
         return du
 
     def solve(self, *, tolerance: float = 1e-12, steps: int = 12) -> None:
-        """Take whole Newton steps until they are small."""
+        """Make full Newton steps until they are small."""
         for _ in range(steps):
             du = self.go()
             if np.linalg.norm(du) <= tolerance * np.linalg.norm(self.body.u.x.array):
@@ -191,7 +193,8 @@ def assembled(form: dolfinx.fem.Form) -> scipy.sparse.csr_array:
 def by_place(f: dolfinx.fem.Function) -> Array:
     """Return the values of all processes, sorted by the dofs' places, (dofs, components)."""
     V = f.function_space
-    n, bs = V.dofmap.index_map.size_local, V.dofmap.index_map_bs
+    n = V.dofmap.index_map.size_local
+    bs = V.dofmap.index_map_bs
     comm = V.mesh.comm
     x = np.concatenate(comm.allgather(V.tabulate_dof_coordinates()[:n]))
     values = np.concatenate(comm.allgather(f.x.array[: n * bs].reshape(n, bs)))
@@ -201,7 +204,8 @@ def by_place(f: dolfinx.fem.Function) -> Array:
 def by_cell(f: dolfinx.fem.Function) -> Array:
     """Return the values of all processes on each cell, as the mesh was made, (cells, dofs)."""
     V = f.function_space
-    mesh, comm = V.mesh, V.mesh.comm
+    mesh = V.mesh
+    comm = V.mesh.comm
     n = mesh.topology.index_map(mesh.topology.dim).size_local
     number = np.concatenate(comm.allgather(mesh.topology.original_cell_index[:n]))
     values = np.concatenate(comm.allgather(f.x.array[V.dofmap.list[:n]]))
@@ -214,7 +218,8 @@ def solve_assembled(A: PETSc.Mat, b: PETSc.Vec) -> Array:
     On Dirichlet dofs b holds the value of x.
     """
     dirichlet = A.query("dirichlet")
-    M, rhs = A.convert("aij", out=PETSc.Mat()), b.copy()
+    M = A.convert("aij", out=PETSc.Mat())
+    rhs = b.copy()
     M.zeroRowsColumns(dirichlet, diag=1.0, x=b, b=rhs)
     x = lu_solve(M, rhs)
     M.destroy()

@@ -12,24 +12,32 @@ import numpy as np
 import scipy.linalg
 from collective import COMM, Array
 
-from dolfinx_feti.feti.dual.form import DualForm
-from dolfinx_feti.feti.primal.form import PrimalForm
+from dolfinx_feti.feti.dual.formulation import DualFormulation
+from dolfinx_feti.feti.primal.formulation import PrimalFormulation
+from dolfinx_feti.feti.subdomain.factors.protocol import Factor
 
-NAMES = ("R", "E", "D", "stabilisation", "exact", "rho", "kernel")
+NAMES = ("R", "E", "D", "stabilisation", "is_exact", "rho", "rigid_size", "null_size")
 
 
-def on_torn_dofs(system: DualForm | PrimalForm, blocks: Iterable[Array]) -> Array:
-    """Bring columns of each subdomain, (n_i, k_i), to all processes, on all torn dofs."""
+def on_torn_dofs(system: DualFormulation | PrimalFormulation, blocks: Iterable[Array]) -> Array:
+    """Return the columns of all subdomains, (n_i, k_i) each, on all torn dofs and all processes."""
+    is_dual = isinstance(system, DualFormulation)
+    inverse = system.inverse if is_dual else system.preconditioner.inverse
     own = [np.zeros((system.operator.torn.n, 0))]
-    for dofs, X in zip(system.operator.dofs, blocks, strict=True):
+    for K_i, X in zip(inverse.blocks, blocks, strict=True):
         own.append(np.zeros((len(own[0]), X.shape[1])))
-        own[-1][dofs] = X
+        own[-1][K_i.dofs] = X
     return scipy.linalg.block_diag(*COMM.allgather(np.hstack(own)))
 
 
-def modes_of(system: DualForm) -> SimpleNamespace:
+def modes_of(system: DualFormulation) -> SimpleNamespace:
     """Return lists of the attributes of ``SubdomainModes``, and the numbers of modes."""
     lists = {name: [getattr(modes, name) for modes in system.modes] for name in NAMES}
-    dimensions = np.array([R.shape[1] for R in lists["R"]], dtype=np.int64)
+    dimensions = np.array([E.shape[1] for E in lists["E"]], dtype=np.int64)
     negative = sum(Z.shape[1] for Z in lists["stabilisation"])
     return SimpleNamespace(**lists, dimensions=dimensions, negative_defects=negative)
+
+
+def factors_of(system: DualFormulation) -> list[Factor]:
+    """Return the factor of K_ρ of each subdomain."""
+    return [K_i.factor for K_i in system.inverse.blocks]

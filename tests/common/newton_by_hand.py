@@ -26,7 +26,8 @@ def newton_by_hand(
     """
     dofmap = w.function_space.dofmap
     n = dofmap.index_map.size_local * dofmap.index_map_bs
-    first, held = COMM.scan(n) - n, np.zeros(n, dtype=bool)
+    first = COMM.scan(n) - n
+    held = np.zeros(n, dtype=bool)
     for bc in bcs:
         dofs = bc.dof_indices()[0]
         held[dofs[dofs < n]] = True
@@ -37,10 +38,13 @@ def newton_by_hand(
         b.scatter_reverse(dolfinx.la.InsertMode.add)
         return np.where(free, whole(b.array[:n]), 0.0)
 
-    r, J = dolfinx.fem.form(F), dolfinx.fem.form(ufl.derivative(F, w))
+    r = dolfinx.fem.form(F)
+    J = dolfinx.fem.form(ufl.derivative(F, w))
     v = ufl.variable(s)
-    by_s = [i.reconstruct(integrand=ufl.diff(i.integrand(), v))
-            for i in ufl.replace(F, {s: v}).integrals()]  # fmt: skip
+    by_s = [
+        i.reconstruct(integrand=ufl.diff(i.integrand(), v))
+        for i in ufl.replace(F, {s: v}).integrals()
+    ]
     border = [dolfinx.fem.form(f) for f in (ufl.Form(by_s), ufl.derivative(c, w))]
     c = dolfinx.fem.form(c)
     for _ in range(12):

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A block whose motion is one scalar, with memory, dashpots, a moving base, pressure and inertia.
+"""A block whose motion is one scalar: memory, dashpots, a moving base, pressure, inertia, a plate.
 
 It fills the unit cube, moves along x alone, and has one cell in this direction: with the base at
 u = g and the other face at u = s the stretch is 1 + s − g everywhere. :class:`Scalar` integrates
@@ -25,10 +25,14 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, materials, supports
+from dolfinx_feti.contact import Contact, half_space
 from dolfinx_feti.loading import Motion, Steps, TimeSteps, follow_load, follow_time
 from dolfinx_feti.mechanics import memory
 
-C1, KAPPA, TAU, DENSITY = 1.0, 3.0, 0.3, 0.05  # kPa, kPa, s, kg/mm³
+C1 = 1.0
+KAPPA = 3.0
+TAU = 0.3
+DENSITY = 0.05  # kPa, kPa, s, kg/mm³
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,7 @@ class Law:
     viscosity: float = 0.0  # of the dashpots
     base: float = 0.0  # amplitude of its motion
     pressure: float = 0.0  # its amplitude
+    stop: float | None = None  # displacement at which the face meets a plate; None without one
 
     def g(self, t: float) -> float:
         """Displacement of the base [mm]."""
@@ -68,32 +73,38 @@ class Scalar:
     S: float = 0.0
     Q: float = 0.0
     seen: float = 0.0
+    contact: float = 0.0  # what the plate pushes back with
     h: float = 0.0
     dissipated: float = 0.0
 
     def start(self, h: float) -> None:
-        """Begin a path, whose first step is about h."""
+        """Start a path whose first step has a length of about h."""
         if self.law.inertia is None:
             return
         g = [self.law.g(self.t + x) for x in (0.0, h / 2.0, h)]
         self.v[0] = (4.0 * g[1] - 3.0 * g[0] - g[2]) / h
         self.ü[0] = 4.0 * (g[0] - 2.0 * g[1] + g[2]) / h**2
         force = self._force(self.u, self.v, self.t, self.h)
+        force += self.contact
         self.ü[1] = -(force + DENSITY * self.ü[0] / 6.0) / (DENSITY / 3.0)
-        self.a, self.h = self.ü.copy(), 0.0
+        self.a = self.ü.copy()
+        self.h = 0.0
 
     def _fading(self, h: float) -> tuple[float, float]:
         return math.exp(-h / TAU), self.law.share * math.exp(-h / (2.0 * TAU))
 
     def _force(self, u: np.ndarray, v: np.ndarray, t: float, h: float) -> float:
         """On the face, but for inertia, at a time after a step of length h."""
-        stretch, (fades, δ) = 1.0 + u[1] - u[0], self._fading(h)
+        stretch = 1.0 + u[1] - u[0]
+        (fades, δ) = self._fading(h)
         force = (1.0 + δ) * slope(stretch) + (fades * self.Q - δ * self.S) * stretch
         return force + KAPPA * (stretch - 1.0) + self.law.p(t) + self.law.viscosity * v[1]
 
     def step(self, h: float) -> None:
-        """Take a step of length h."""
-        law, last, t = self.law, self.u.copy(), self.t + h
+        """Make a step of length h."""
+        law = self.law
+        last = self.u.copy()
+        t = self.t + h
         fades, δ = self._fading(h)
         if law.inertia is None:
 
@@ -102,8 +113,10 @@ class Scalar:
 
         else:
             ρ = law.inertia
-            α_m, α_f = (2.0 * ρ - 1.0) / (ρ + 1.0), ρ / (ρ + 1.0)
-            γ, β = 0.5 - α_m + α_f, 0.25 * (1.0 - α_m + α_f) ** 2
+            α_m = (2.0 * ρ - 1.0) / (ρ + 1.0)
+            α_f = ρ / (ρ + 1.0)
+            γ = 0.5 - α_m + α_f
+            β = 0.25 * (1.0 - α_m + α_f) ** 2
             a = self.ü + (h / self.h if self.h > 0.0 else 1.0) * (self.a - self.ü)
 
             def new_a(u: np.ndarray) -> np.ndarray:
@@ -119,15 +132,24 @@ class Scalar:
             return self._force(u, v, t, h) + DENSITY * (ü[1] / 3.0 + ü[0] / 6.0)
 
         s = scipy.optimize.brentq(balance, last[1] - 0.6, last[1] + 0.6, xtol=1e-15, rtol=1e-14)
+        self.contact = 0.0
+        if law.stop is not None and s > law.stop:
+            s = law.stop
+            self.contact = -balance(s)
         self.u = np.array([law.g(t), s])
         v, ü = rates(self.u)
         self.dissipated = law.viscosity * (self.v[1] + v[1]) / 2.0 * (s - last[1])
         if law.inertia is not None:
             self.a = new_a(self.u)
-        self.v, self.ü, self.t, self.h = v, ü, t, h
+        self.v = v
+        self.ü = ü
+        self.t = t
+        self.h = h
         stretch = 1.0 + s - self.u[0]
-        self.seen, S = max(self.seen, stretch), slope(stretch) / stretch
-        self.Q, self.S = fades * self.Q + δ * (S - self.S), S
+        self.seen = max(self.seen, stretch)
+        S = slope(stretch) / stretch
+        self.Q = fades * self.Q + δ * (S - self.S)
+        self.S = S
 
 
 def exact(law: Law, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -162,7 +184,7 @@ def exact(law: Law, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 class Block:
     """The block of finite elements, on a communicator."""
 
-    def __init__(self, comm: MPI.Comm, inertia: float | None) -> None:
+    def __init__(self, comm: MPI.Comm, inertia: float | None, *, stopped: bool = False) -> None:
         self.comm = comm
         self.mesh = mesh = dolfinx.mesh.create_box(
             comm, [(0, 0, 0), (1, 1, 1)], (1, 3, 1), dolfinx.mesh.CellType.hexahedron
@@ -178,11 +200,13 @@ class Block:
         W = dolfinx.fem.functionspace(
             mesh, basix.ufl.quadrature_element("hexahedron", value_shape=(3, 3), degree=2)
         )
-        self.S, self.Q = dolfinx.fem.Function(W, name="S"), dolfinx.fem.Function(W, name="Q")
+        self.S = dolfinx.fem.Function(W, name="S")
+        self.Q = dolfinx.fem.Function(W, name="Q")
         self.seen = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="seen")
         self.last = dolfinx.fem.Function(V, name="last")
         F = kinematics.deformation_gradient(self.u)
-        C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+        C = kinematics.right_cauchy_green(F)
+        J = kinematics.jacobian(F)
         psi, update = memory.viscoelastic(
             materials.neo_hookean(C, c=C1, J=J),
             F,
@@ -205,12 +229,17 @@ class Block:
             )
             return dolfinx.fem.dirichletbc(value, dofs[0], part)
 
+        self.stop = dolfinx.fem.Constant(mesh, 0.0)
+        plate = half_space((-1, 0, 0), (1, 0, 0), offset=-self.stop)
+        self.contacts = [Contact(self.u, ds, plate)] if stopped else []
         self.problem = NonlinearProblem(
             ufl.derivative(energy, self.u, ufl.TestFunction(V)),
             self.u,
             bcs=[held(0, self.g, 0.5), held(1, 0.0, 2.0), held(2, 0.0, 2.0)],
             subdomains=3,
             quadrature_degree=2,
+            contacts=self.contacts,
+            contact_tolerance=1e-13,
             internal_variables=update | {self.seen: ufl.max_value(self.seen, F[0, 0])},
             petsc_options={"snes_rtol": 1e-13, "snes_atol": 1e-14, "ksp_rtol": 1e-8},
         )
@@ -218,16 +247,20 @@ class Block:
         self._face = 3 * np.flatnonzero(np.isclose(x[:, 0], 1.0))
 
     def reset(self, law: Law, value: float = 0.0) -> None:
-        """Let all that a step changes have a value, and be of a law."""
+        """Set all values that a step changes to those of a law."""
         changing = [self.u, self.S, self.Q, self.seen, self.last]
-        changing += [] if self.motion is None else self.motion.changes
+        changing += [] if self.motion is None else self.motion.histories
+        changing += [contact.multiplier for contact in self.contacts]
         for f in changing:
             f.x.array[:] = value
         self.dt.value = value
         for constant in (self.g, self.p):
             constant.value = value
         self.time_step.value = np.inf
-        self.share.value, self.viscosity.value = law.share, law.viscosity
+        self.share.value = law.share
+        self.viscosity.value = law.viscosity
+        if law.stop is not None:
+            self.stop.value = law.stop
 
     def ends(self, values: np.ndarray) -> tuple[float, float]:
         """Return the least and the largest of all values."""
@@ -248,14 +281,16 @@ class Block:
         return values[0], values[1], values[2]
 
     def follow(self, law: Law, targets, first: float, *, start=0.0, growth=1.0, **arguments):
-        """Go through times; in equilibria the load is the time."""
+        """Follow the times; in equilibria the load is the time."""
         known = [start]
-        checkpoint, on_step = arguments.get("checkpoint"), arguments.pop("on_step")
+        checkpoint = arguments.get("checkpoint")
+        on_step = arguments.pop("on_step")
         if checkpoint is not None and checkpoint.restart:
             known = [checkpoint.record["loads"][-1]]
 
         def set_time(t: float) -> None:
-            self.g.value, self.p.value = law.g(t), law.p(t)
+            self.g.value = law.g(t)
+            self.p.value = law.p(t)
             if self.motion is None and t != known[0]:
                 self.dt.value = self.time_step.value = abs(t - known[0])
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from hand_torn import Array, HandTorn, assembled, kernel, stiffness_of, tear
 
-from meshes.cube import CORNERS, FACES, TETRAHEDRA
+from dolfinx_feti.meshes.cube import CORNERS, FACES, TETRAHEDRA
 
 POISSON = 0.45
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A played problem for load steps: its equilibria are known, and it fails where it is told to."""
+"""A fake problem for load steps, with known equilibria, that fails on demand."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ from problems import cube
 import dolfinx
 
 from dolfinx_feti import ConvergenceError
+from dolfinx_feti.errors import InadmissibleStartError
 from dolfinx_feti.fem.content import Content
+from dolfinx_feti.loading.load_step import LoadStep
 from dolfinx_feti.loading.load_steps import follow_load
-from dolfinx_feti.loading.steps import LoadStep, Steps
+from dolfinx_feti.loading.steps import Steps
 from dolfinx_feti.problems.history import NewtonStep
 
 ROUNDING = 1e-12
 OWN = 1e-9
 STEP = NewtonStep(1.0, 1.0, "cg", 7, 1e-9, 3.0, 0, 0, 0.0, 1, 0.1, 0.2)
-SNES = PETSc.SNES.ConvergedReason
 
 State = tuple[float, float, float]  # load, u, p
 
@@ -68,22 +69,27 @@ class Played:
             dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
             for element in (("Lagrange", 1), ("DG", 0))
         )
-        self.content, self.internal_variables = Content((self.u, self.p)), ()
-        self.volume_changes: list[float] = []
+        self.unknown = self.u
+        self.content = Content((self.u, self.p))
+        self.internal_variables = ()
+        self.n_updates = 0
         self.solver = PETSc.SNES().create(COMM)
         self.solver.setTolerances(rtol=OWN, atol=1e-10, max_it=30)
         self.solver.getKSP().setTolerances(rtol=OWN)
         self.solver.setSolution(PETSc.Vec().createMPI(1, comm=COMM))  # or it cannot be monitored
         self.history: list[NewtonStep] = []
         self.attempts: list[Attempt] = []
-        self._cost, self._fails, self._inside_out = cost, fails, inside_out
+        self._cost = cost
+        self._fails = fails
+        self._inside_out = inside_out
         self._norms: dict[float, State] = {}
         self._renewed = False
         self.load = self._equilibrium = start
         self._set(*truth(start))
 
     def _set(self, u: float, p: float) -> None:
-        self.u.x.array[:], self.p.x.array[:] = u, p
+        self.u.x.array[:] = u
+        self.p.x.array[:] = p
 
     def state(self) -> tuple[float, float]:
         """Return u and p; each must have one value all over."""
@@ -108,32 +114,57 @@ class Played:
     def renew(self) -> None:
         self._renewed = True
 
-    def solve(self, *, reference=None, first_tangent=None, renew=True, give_up_early=False) -> None:
-        renewed, self._renewed = renew or self._renewed, False
+    def warn_of_cells(self) -> None:
+        """Find nothing wrong with the cells."""
+
+    def solve(
+        self,
+        *,
+        reference=None,
+        first_tangent=None,
+        renew=True,
+        give_up_early=False,
+        check_cells=True,
+    ) -> None:
+        agree(not check_cells, "a path looks at the cells in accepted states alone")
+        renewed = renew or self._renewed
+        self._renewed = False
         before = self._equilibrium
         domain = first_tangent is None and self._inside_out(self.load)
-        reason = SNES.DIVERGED_FUNCTION_DOMAIN if domain else SNES.DIVERGED_LINE_SEARCH
-        self.solver.setConvergedReason(reason)
         fails = domain or self._fails(before, self.load)
         rtol, linear_rtol = (s.getTolerances()[0] for s in (self.solver, self.solver.getKSP()))
         referred = self._norms.get(reference)
         self.attempts.append(
             Attempt(
-                self.load, before, rtol, linear_rtol, referred, first_tangent, self.state(),
-                not fails, renewed,
+                self.load,
+                before,
+                rtol,
+                linear_rtol,
+                referred,
+                first_tangent,
+                self.state(),
+                not fails,
+                renewed,
             )
-        )  # fmt: skip
-        for it in range(cost := self._cost(abs(self.load - before))):
+        )
+        cost = self._cost(abs(self.load - before))
+        for it in range(cost):
             self.solver.monitor(it, 10.0**-it)
         self.history = [STEP] * cost
         if fails:
             self._set(math.nan, math.inf)
-            raise ConvergenceError("The spring broke.")
+            error = InadmissibleStartError if domain else ConvergenceError
+            raise error("The spring broke.")
         self._equilibrium = self.load
         self._set(*truth(self.load))
 
     def follow(self, targets: list[float], steps: Steps, **arguments: object) -> list[LoadStep]:
         return follow_load(
-            self, lambda load: setattr(self, "load", load), targets, steps,
-            state=[self.u, self.p], start=self._equilibrium, **arguments,
-        )  # fmt: skip
+            self,
+            lambda load: setattr(self, "load", load),
+            targets,
+            steps,
+            state=[self.u, self.p],
+            start=self._equilibrium,
+            **arguments,
+        )

@@ -14,13 +14,16 @@ from collective import whole
 from hand_torn import HandTorn
 from modes import on_torn_dofs
 
-from dolfinx_feti.feti.coarse.space import AveragedColumns
-from dolfinx_feti.feti.gluing.copies import Copies
+from dolfinx_feti.feti.coarse.averaged import AveragedBasis
+from dolfinx_feti.feti.interface.copies import Copies
 from dolfinx_feti.feti.pattern import Pattern
-from dolfinx_feti.feti.primal.form import PrimalForm, PrimalPreconditioner, create_primal_form
-from dolfinx_feti.feti.primal.krylov import PrimalSystem, conjugate_gradients
+from dolfinx_feti.feti.primal.formulation import PrimalFormulation, create_primal_formulation
+from dolfinx_feti.feti.primal.krylov.conjugate_gradients import conjugate_gradients
+from dolfinx_feti.feti.primal.preconditioner import PrimalPreconditioner
+from dolfinx_feti.feti.primal.stopping import StoppingTest
+from dolfinx_feti.feti.primal.system import PrimalSystem
 from dolfinx_feti.feti.setup import Setup, set_up
-from dolfinx_feti.feti.solution import Solution
+from dolfinx_feti.feti.solve_info import KrylovInfo
 from dolfinx_feti.runtime.lifetime import Lifetime
 
 Array = npt.NDArray[np.float64]
@@ -28,28 +31,33 @@ Array = npt.NDArray[np.float64]
 
 def cg(
     system: PrimalSystem, f: Array, *, rtol: float = 1e-10, max_it: int = 200
-) -> tuple[Array, Solution]:
+) -> tuple[Array, KrylovInfo]:
     """Solve to a share of the norm of the right-hand side."""
     target = rtol * system.norm(system.copies.sum(f))
-    x, solution, _ = conjugate_gradients(
-        system, f, target=target, max_it=max_it, monitor=lambda its, norm: None
+    x, info, _ = conjugate_gradients(
+        system,
+        f,
+        StoppingTest(target, max_it),
+        monitor=lambda its, norm: None,
+        stored_iterations=0,
+        allow_indefinite=False,
     )
-    return x, solution
+    return x, info
 
 
 def create(
     pattern: Pattern, within: Lifetime, more: Callable[[Setup, Copies], list[Array]] | None = None
-) -> PrimalForm:
+) -> PrimalFormulation:
     """Build the primal form of a matrix, with E and these further columns in the coarse space."""
     setup = set_up(pattern, within, within)
     S = setup.operator
-    copies = within.own(Copies(pattern.torn, S.interface, setup.delta))
-    U = [m.E[on] for m, on in zip(setup.inverse.modes, S.on_interface, strict=True)]
+    copies = within.own(Copies(pattern.torn, S.interfaces, setup.delta))
+    U = [K_i.E_on_interface for K_i in setup.inverse.blocks]
     if more is not None:
         U = [np.hstack(pair) for pair in zip(U, more(setup, copies), strict=True)]
-    V = within.own(AveragedColumns(copies, U))
+    V = within.own(AveragedBasis(copies, U))
     made = PrimalPreconditioner(setup.delta, setup.inverse, setup.inertia, copies, V)
-    return create_primal_form(pattern, S, made, within)
+    return create_primal_formulation(pattern, S, made, within)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,13 +104,16 @@ class Dense:
         return projection @ self.average @ np.linalg.solve(self.S_ρ, self.average.T)
 
 
-def reference(problem: HandTorn, form: PrimalForm) -> Dense:
+def reference(problem: HandTorn, form: PrimalFormulation) -> Dense:
     """Compute the dense counterparts from the local matrices, R and ρ."""
-    torn, operator, copies = form.pattern.torn, form.operator, form.system.copies
-    rows = whole(copies.dofs + torn.start)
-    held = whole(form.pattern.dofs.fixed)
+    torn = form.pattern.torn
+    operator = form.operator
+    copies = form.system.copies
+    rows = whole(copies.dofs + torn.first_torn_dof)
+    held = whole(form.pattern.fixed)
     inside = np.setdiff1d(np.flatnonzero(~held), rows)
-    K, interior = problem.K_torn, np.ix_(inside, inside)
+    K = problem.K_torn
+    interior = np.ix_(inside, inside)
     free = np.concatenate([rows, inside])
 
     def condensed(K: Array) -> Array:
@@ -111,7 +122,7 @@ def reference(problem: HandTorn, form: PrimalForm) -> Dense:
 
     R_all = on_torn_dofs(form, [modes.R for modes in form.modes])
     ρ_R = on_torn_dofs(form, [modes.rho * modes.R for modes in form.modes])
-    if not operator.eliminated:
+    if not operator.is_eliminated:
         K_ρ = K + ρ_R @ R_all.T
         S_ρ = condensed(K_ρ)
         E = np.zeros_like(R_all)

@@ -45,7 +45,8 @@ class Problem:
 
     def solve_directly(self) -> Array:
         """Solve with MUMPS's LU; return the owned values."""
-        a, L = dolfinx.fem.form(self.a), dolfinx.fem.form(self.L)
+        a = dolfinx.fem.form(self.a)
+        L = dolfinx.fem.form(self.L)
         A = dolfinx.fem.petsc.assemble_matrix(a, bcs=self.bcs)
         A.assemble()
         b = dolfinx.fem.petsc.assemble_vector(L)
@@ -89,7 +90,8 @@ def cube(
 
 def without(mesh: dolfinx.mesh.Mesh, where: Marker) -> dolfinx.mesh.Mesh:
     """Return what is left of a mesh without the cells that are marked."""
-    dim, cells = mesh.topology.dim, mesh.topology.index_map(mesh.topology.dim)
+    dim = mesh.topology.dim
+    cells = mesh.topology.index_map(mesh.topology.dim)
     every = np.arange(cells.size_local + cells.num_ghosts)
     kept = np.setdiff1d(every, dolfinx.mesh.locate_entities(mesh, dim, where))
     return dolfinx.mesh.create_submesh(mesh, dim, kept.astype(np.int32))[0]
@@ -127,17 +129,6 @@ def tagged(mesh: dolfinx.mesh.Mesh, *surfaces: Marker) -> ufl.Measure:
     return ufl.Measure("ds", mesh, subdomain_data=tags)
 
 
-def curved(mesh: dolfinx.mesh.Mesh, place: Callable[[Array], Array]) -> dolfinx.mesh.Mesh:
-    """Return the same cells with quadratic geometry; its nodes, (n, gdim), have another place."""
-    gdim = mesh.geometry.dim
-    element = basix.ufl.element("Lagrange", mesh.basix_cell(), 2, shape=(gdim,))
-    V = dolfinx.fem.functionspace(mesh, element)
-    owned, nodes = mesh.topology.index_map(mesh.topology.dim).size_local, V.dofmap.index_map
-    cells = nodes.local_to_global(V.dofmap.list[:owned].ravel()).reshape(owned, -1)
-    x = place(V.tabulate_dof_coordinates()[: nodes.size_local, :gdim].copy())
-    return dolfinx.mesh.create_mesh(mesh.comm, cells=cells, x=x, e=element)
-
-
 def left(x: Array) -> npt.NDArray[np.bool_]:
     """Mark x₀ = 0."""
     return np.isclose(x[0], 0.0)
@@ -160,7 +151,8 @@ def with_bubbles(mesh: dolfinx.mesh.Mesh, degree: int = 1) -> basix.ufl._Element
     """
     if degree == 2:
         return quadratic_with_bubbles(mesh.topology.cell_name())
-    cell, dim = mesh.basix_cell(), mesh.topology.dim
+    cell = mesh.basix_cell()
+    dim = mesh.topology.dim
     lagrange = basix.ufl.element("Lagrange", cell, degree)
     return basix.ufl.enriched_element([lagrange, basix.ufl.element("Bubble", cell, dim + 1)])
 
@@ -193,8 +185,10 @@ def elasticity(
     dim = mesh.geometry.dim
     scalar = element or basix.ufl.element("Lagrange", mesh.basix_cell(), degree)
     V = dolfinx.fem.functionspace(mesh, basix.ufl.blocked_element(scalar, shape=(dim,)))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    mu, lmbda = 210.0 / (2 * (1 + nu)), 210.0 * nu / ((1 + nu) * (1 - 2 * nu))
+    u = ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
+    mu = 210.0 / (2 * (1 + nu))
+    lmbda = 210.0 * nu / ((1 + nu) * (1 - 2 * nu))
     eps = ufl.sym(ufl.grad(u))
     stress = 2 * mu * eps + lmbda * ufl.tr(eps) * ufl.Identity(dim)
     a = ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
@@ -224,7 +218,8 @@ def poisson(
 ) -> Problem:
     """Set up the Poisson equation; the arguments are those of :func:`elasticity`."""
     V = dolfinx.fem.functionspace(mesh, element or ("Lagrange", degree))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    u = ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
     x = ufl.SpatialCoordinate(mesh)
     a = (1.0 + x[0] ** 2) * ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
     L = ufl.inner(1.0 + x[1], v) * ufl.dx

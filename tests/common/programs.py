@@ -34,15 +34,17 @@ from wall_files import ROOT
 
 from dolfinx_feti.fem.decomposition import decompose
 from dolfinx_feti.loading import Checkpoint
+from dolfinx_feti.runtime.scotch import repeatable_partitions
 
-COMM, SEEDS = MPI.COMM_WORLD, (0, 0, 1)
+COMM = MPI.COMM_WORLD
+SEEDS = (0, 0, 1)
 
 #: What names the processes of a run to those that it starts.
 LAUNCHERS = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
 
 
-def start(*words: object, processes: int = 1) -> subprocess.Popen[str]:
-    """Start one of them on some processes of its own."""
+def start(*words: object, processes: int = 1, script: object = __file__) -> subprocess.Popen[str]:
+    """Start this program, or another script, on some processes."""
     own = {k: v for k, v in os.environ.items() if not k.startswith((*LAUNCHERS, "SCOTCH_"))}
     own |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
     own |= {
@@ -51,7 +53,7 @@ def start(*words: object, processes: int = 1) -> subprocess.Popen[str]:
     }
     own |= {"OMPI_MCA_mpi_yield_when_idle": "1"}
     launch = ["mpirun", "-n", str(processes)] if processes > 1 else []
-    command = [*launch, sys.executable, __file__, *map(str, words)]
+    command = [*launch, sys.executable, str(script), *map(str, words)]
     said = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     return subprocess.Popen(command, cwd=ROOT, env=own, **said)
 
@@ -66,12 +68,14 @@ def finish(process: subprocess.Popen[str]) -> None:
 
 
 def run_block(kind: str, folder: Path, steps: str = "inf", rank: str = "0") -> None:
-    """Go on to the end, or to a sudden one."""
+    """Run to the end, or until the program is killed."""
     law = Law(0.8 if kind == "inertia" else None, share=0.5, viscosity=0.3, base=0.1, pressure=0.4)
     restart = COMM.bcast((folder / "state.npz").exists())
-    block, checkpoint = Block(COMM, law.inertia), Checkpoint(folder, COMM, restart=restart)
+    block = Block(COMM, law.inertia)
+    checkpoint = Checkpoint(folder, COMM, restart=restart)
     block.reset(law)
-    left, shown = float(steps), [time.monotonic()]
+    left = float(steps)
+    shown = [time.monotonic()]
 
     def on_step(step: object) -> None:
         shown.append(time.monotonic())
@@ -87,7 +91,8 @@ def run_block(kind: str, folder: Path, steps: str = "inf", rank: str = "0") -> N
 
 def parts(subdomains: int) -> list[list[list[int]]]:
     """Return the (cell, process, subdomain) of all cells of a cube, for each seed."""
-    mesh = cube(3, 8)
+    with repeatable_partitions():
+        mesh = cube(3, 8)
     cell = mesh.topology.original_cell_index[: mesh.topology.index_map(3).size_local]
     found = []
     for seed in SEEDS:

@@ -13,7 +13,6 @@ from functools import cache
 
 import numpy as np
 from collective import COMM
-from problems import curved
 
 import basix
 import basix.ufl
@@ -22,6 +21,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti.fem.quadrature import limit_quadrature_degree
+from dolfinx_feti.meshes.curved import curved
 
 Cell = dolfinx.mesh.CellType
 CELLS = ("interval", "triangle", "quadrilateral", "tetrahedron", "hexahedron", "prism")
@@ -64,10 +64,12 @@ class Grammar:
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
-        cell, is_curved = self.one(CELLS), self.chance(0.25)
+        cell = self.one(CELLS)
+        is_curved = self.chance(0.25)
         is_curved = is_curved and cell != "prism" and COMM.size == 1
         self.mesh, *self.data = body(cell, is_curved)
-        self.cell, self.gdim = cell, self.mesh.geometry.dim
+        self.cell = cell
+        self.gdim = self.mesh.geometry.dim
         self.text = [f"seed {seed}", cell + " curved" * is_curved]
         self.degree: int | None = None  # of quadrature elements
         self.V = dolfinx.fem.functionspace(self.mesh, self.unknown())
@@ -91,7 +93,8 @@ class Grammar:
         return element(family, self.cell, degree, shape=shape, symmetry=symmetry)
 
     def unknown(self) -> object:
-        cell, g = self.cell, self.gdim
+        cell = self.cell
+        g = self.gdim
         kinds: list = [("Lagrange", 1), ("Lagrange", 2), ("Lagrange", 1, (g,))]
         kinds += [("Lagrange", 2 if g < 3 else 1, (g,)), ("Lagrange", 1, (2,))]
         if cell != "prism":
@@ -106,7 +109,8 @@ class Grammar:
 
     def element(self) -> object:
         """The element of a coefficient."""
-        cell, g = self.cell, self.gdim
+        cell = self.cell
+        g = self.gdim
         k = int(self.rng.integers(1, 3))
         variant = basix.LagrangeVariant.legendre
         kinds: list = [("Lagrange", k), ("Lagrange", k, (g,)), ("Lagrange", 1, (g, g))]
@@ -129,7 +133,8 @@ class Grammar:
         return basix.ufl.quadrature_element(self.cell, shape, degree=self.degree)
 
     def mixed(self) -> object:
-        cell, g = self.cell, self.gdim
+        cell = self.cell
+        g = self.gdim
         shape = (g,) if g > 1 else (2,)  # FFCx does not know a vector of one in a mixed element
         vector = element("Lagrange", cell, int(self.rng.integers(1, 3)), shape=shape)
         parts = [vector, element("Lagrange", cell, 1)]
@@ -145,7 +150,8 @@ class Grammar:
         """A Function with numbers that its global dofs tell."""
         f = dolfinx.fem.Function(dolfinx.fem.functionspace(self.mesh, e))
         dofmap = f.function_space.dofmap
-        bs, m = dofmap.index_map_bs, dofmap.index_map
+        bs = dofmap.index_map_bs
+        m = dofmap.index_map
         blocks = m.local_to_global(np.arange(m.size_local + m.num_ghosts, dtype=np.int32))
         dofs = (blocks[:, None] * bs + np.arange(bs)).ravel()
         f.x.array[:] = 0.3 + 0.5 * np.sin(1.7 * dofs + self.rng.random())
@@ -255,7 +261,10 @@ class Grammar:
             metadata["quadrature_degree"] = self.one([1, 2, 3, 4, np.int64(2), np.int32(3)])
         elif self.chance(0.1) and self.cell not in ("interval", "prism"):
             metadata["quadrature_rule"] = "vertex"
-        data, number = facet_tags if facets else cell_list if self.lists else cell_tags, None
+        data = cell_list if self.lists else cell_tags
+        if facets:
+            data = facet_tags
+        number = None
         if self.chance(0.4):
             number = self.one(self.numbers)
         self.text.append(f"{'ds' if facets else 'dx'}({number}) {metadata}")
@@ -268,7 +277,8 @@ class Grammar:
         # dolfinx 0.9 loses integrals over a number that is in a tuple, too
         self.numbers = self.one([[1, 2, 3, 7], [(1, 2), 3], [(2, 3), 1], [(1, 2, 3)]])
         terms = int(self.rng.integers(1, 4))
-        v, u = ufl.TestFunction(self.V), ufl.TrialFunction(self.V)
+        v = ufl.TestFunction(self.V)
+        u = ufl.TrialFunction(self.V)
         if rank and self.chance(0.25):
             return self.derived(rank, v, u)
         integrands = [self.term(rank, v, u) for _ in range(terms)]  # all, before self.degree counts

@@ -69,7 +69,8 @@ def summed(form: ufl.Form, values: np.ndarray) -> np.ndarray:
     """What a kernel has computed of a form, added to dense arrays, as in ``assembled``."""
     if not form.arguments():
         return values.sum(keepdims=True)
-    sizes, dofs = [], []
+    sizes = []
+    dofs = []
     for argument in form.arguments():
         V = argument.ufl_function_space()
         bs = V.dofmap.index_map_bs

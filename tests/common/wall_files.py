@@ -14,20 +14,21 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
+from dolfinx_feti.meshes.tube import create_tube
 from dolfinx_feti.runtime import collective
 from dolfinx_feti.wall import Wall, read_wall
-from meshes.tube import create_tube
 
 T = TypeVar("T")
 
 COMM = MPI.COMM_WORLD
 ROOT = Path(__file__).parents[2]
-DEMOS, EXAMPLE = ROOT / "demos", ROOT / "meshes/example.msh"
+DEMOS = ROOT / "demos"
+EXAMPLE = ROOT / "meshes/example.msh"
 
 
 def on_first(make: Callable[[], T]) -> T:
     """Do it on the first process; all have the result, or raise the error."""
-    return collective.on_first(make, COMM)
+    return collective.on_root(make, COMM)
 
 
 def tube(folder: Path, **options: object) -> Wall:

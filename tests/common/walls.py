@@ -25,13 +25,16 @@ import ufl
 
 import dolfinx_feti
 from dolfinx_feti import kinematics, loads, materials
-from meshes.bricks import lattice_cells
+from dolfinx_feti.meshes.bricks import lattice_cells
 
 Array = npt.NDArray[np.float64]
 Marker = npt.NDArray[np.bool_]
 
-INNER, INTERFACE, OUTER = 0.71, 0.97, 1.10
-MEDIA, ADVENTITIA = np.radians(29.0), np.radians(62.0)
+INNER = 0.71
+INTERFACE = 0.97
+OUTER = 1.10
+MEDIA = np.radians(29.0)
+ADVENTITIA = np.radians(62.0)
 LUMEN = 1
 PREFIX = "wall_"
 
@@ -114,7 +117,8 @@ def tube(
 def create_mesh(comm: MPI.Comm, x: Array, cells: npt.NDArray[np.integer]) -> dolfinx.mesh.Mesh:
     """Create a mesh of tetrahedra, with ghost cells, from what the first process holds."""
     if comm.rank > 0:
-        x, cells = x[:0], cells[:0]
+        x = x[:0]
+        cells = cells[:0]
     element = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
     mode = dolfinx.mesh.GhostMode.shared_facet
     try:
@@ -140,7 +144,8 @@ def wall(
     """
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,)))
     Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
-    u, p = dolfinx.fem.Function(V, name="u"), dolfinx.fem.Function(Q, name="p")
+    u = dolfinx.fem.Function(V, name="u")
+    p = dolfinx.fem.Function(Q, name="p")
     a1, a2 = (fibres(mesh, sign) for sign in (1.0, -1.0))
     metadata = {"quadrature_degree": 2 * degree}
     F = kinematics.deformation_gradient(u)
@@ -163,10 +168,14 @@ def under_pressure(
     tangent: str,
 ) -> Wall:
     """Put a follower pressure on a surface, with a kind of its tangent or ``exact`` by UFL."""
-    V, Q = u.function_space, p.function_space
-    v, q, du = ufl.TestFunction(V), ufl.TestFunction(Q), ufl.TrialFunction(V)
+    V = u.function_space
+    Q = p.function_space
+    v = ufl.TestFunction(V)
+    q = ufl.TestFunction(Q)
+    du = ufl.TrialFunction(V)
     load = dolfinx.fem.Constant(V.mesh, 0.0)
-    F_u, F_p = ufl.derivative(energy, u, v), ufl.derivative(energy, p, q)
+    F_u = ufl.derivative(energy, u, v)
+    F_p = ufl.derivative(energy, p, q)
     K = None if tangent == "exact" else ufl.derivative(F_u, u, du)
     if K is not None:
         K += loads.follower_pressure_tangent(load, u, v, du, surface, tangent, bcs=bcs)
@@ -198,7 +207,7 @@ def clamped(V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:
 
 
 def symmetric(V: dolfinx.fem.FunctionSpace) -> list[dolfinx.fem.DirichletBC]:
-    """Let the planes of symmetry and the ends slide: one component each."""
+    """Return the conditions of planes of symmetry and ends: no normal displacement."""
     planes = (lambda x: np.isclose(x[0], 0.0), lambda x: np.isclose(x[1], 0.0), at_ends(V.mesh))
     return [dirichlet(V, where, component=k) for k, where in enumerate(planes)]
 

@@ -20,9 +20,12 @@ from dolfinx_feti.workshop import Material, compile_material
 #: Quick to compile, and slow to run.
 JIT = {"cffi_extra_compile_args": ["-O0"]}
 
-C, HGO = 3.0, {"c": 3.0, "k1": 2.3632, "k2": 0.8393}
-C10, C01 = 2.0, 0.5
-LMBDA, MU = 5.0, 2.0
+C = 3.0
+HGO = {"c": 3.0, "k1": 2.3632, "k2": 0.8393}
+C10 = 2.0
+C01 = 0.5
+LMBDA = 5.0
+MU = 2.0
 #: Stiffness of the fibres of the standard reinforcing model; they kink at λ² = 1 − c/(2 k).
 FIBRE = 4.0
 ANGLE = 0.5
@@ -42,7 +45,8 @@ def mooney_rivlin(C, J, c10=C10, c01=C01):
 
 
 def hgo(C, J, c=HGO["c"], k1=HGO["k1"], k2=HGO["k2"]):
-    a1, a2 = family(ANGLE), family(-ANGLE)
+    a1 = family(ANGLE)
+    a2 = family(-ANGLE)
     return materials.holzapfel_gasser_ogden(C, a1, a2, c=c, k1=k1, k2=k2, J=J)
 
 
@@ -82,7 +86,7 @@ def holzapfel_ogden(C, J):
 
 
 def contracting(C, J, tension=5.0):
-    """Guccione's muscle with a tension of its own."""
+    """Guccione's muscle with an active tension."""
     return guccione(C, J) + materials.active_tension(C, family(ANGLE), tension=tension)
 
 

@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import json
 import re
-import runpy
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,60 +23,80 @@ import pytest
 from collective import COMM, agree, raises, small
 from wall_files import DEMOS, EXAMPLE, ROOT, on_first
 
+from dolfinx_feti.meshes.wall_mesh import TAGS, write_mesh, write_msh
 from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.wall.wallfile import read_raw_wall
-from meshes.wall_mesh import TAGS, write_mesh, write_msh
 
 pytest.importorskip("gmsh")
-pytest.importorskip("matplotlib")
+pytest.importorskip("pyvista")
 
 #: A wall as small as can be, with both layers.
 TUBE = "--mesh tube --size 1 --pressure 2 --steps 3 --subdomains 4".split()
 #: Its numbers, on any number of processes.
-TUBE_DOFS, TUBE_DISPLACEMENT = 1680, 0.03652351  # mm
-#: Demos that import nothing of their folder, with the picture that each draws.
-ALONE = {
-    "demo_balloon.py": "balloon/curve.png",
-    "demo_growth.py": "growth/growth.png",
-    "demo_hyperelasticity.py": "hyperelasticity/block.png",
-    "demo_jumps.py": "jumps/jumps.png",
-    "demo_linear_elasticity.py": "beam/beam.png",
-    "demo_load_steps.py": "load_steps/heights.png",
-    "demo_memory.py": "memory/memory.png",
-    "demo_nearly_incompressible.py": "nearly_incompressible/iterations.png",
-    "demo_poisson.py": "poisson/poisson.png",
-    "demo_pulse.py": "pulse/pulse.png",
-    "demo_solver_options.py": "solver_options/options.png",
-    "demo_thick_tube.py": "thick_tube/pressure.png",
-    "demo_torn_matrix.py": "torn_matrix/temperature.png",
-    "demo_windkessel.py": "windkessel/loop.png",
+TUBE_DOFS = 1680
+TUBE_DISPLACEMENT = 0.03652351  # mm
+#: Demos without a command line, with a picture that each draws.
+DEMO_PICTURES = {
+    "demo_artery.py": "output/artery/wall.png",
+    "demo_balloon.py": "balloon.png",
+    "demo_classical_vs_all_floating.py": "cube.png",
+    "demo_contact.py": "contact.png",
+    "demo_growth.py": "growth.png",
+    "demo_hyperelasticity.py": "hyperelasticity.png",
+    "demo_jumps.py": "jumps.png",
+    "demo_linear_elasticity.py": "linear_elasticity.png",
+    "demo_load_steps.py": "membrane.png",
+    "demo_memory.py": "memory.png",
+    "demo_nearly_incompressible.py": "nearly_incompressible.png",
+    "demo_own_artery.py": "artery.png",
+    "demo_own_material.py": "own_material.png",
+    "demo_patient.py": "patient.png",
+    "demo_poisson.py": "poisson.png",
+    "demo_pulse.py": "pulse.png",
+    "demo_solver_options.py": "solver_options.png",
+    "demo_thick_tube.py": "thick_tube.png",
+    "demo_torn_matrix.py": "temperature.png",
+    "demo_windkessel.py": "windkessel.png",
 }
-SHARING = ("demo_balloon.py", "demo_classical_vs_all_floating.py", "demo_own_material.py")
+#: Demos whose meshes are smaller here: a part of a line of the demo, and what is in its place.
+COARSER = {"demo_own_artery.py": ("size = 0.45 ", "size = 0.6 ")}
+#: Demos that take more than ten seconds on two processes. What they call has tests of its own
+#: there: contact, unloading, Windkessels, inertia, paths of κ. On one process the site runs them.
+LONG = {
+    "demo_artery.py",
+    "demo_contact.py",
+    "demo_nearly_incompressible.py",
+    "demo_patient.py",
+    "demo_pulse.py",
+    "demo_windkessel.py",
+}
 LEAST = ["--mesh", str(EXAMPLE), *"--degree 1 --pressure 0.5 --steps 1 --subdomains 4".split()]
 
 
 @pytest.fixture
-def run(monkeypatch) -> Iterator[Callable[..., dict[str, Any]]]:
+def run(monkeypatch) -> Callable[..., dict[str, Any]]:
     """Run a demo as a script on the processes of this test; return its variables."""
-    known = set(sys.modules)
-    monkeypatch.syspath_prepend(str(DEMOS))
 
     def script(name: str, *arguments: object) -> dict[str, Any]:
-        path = str(DEMOS / name)
-        monkeypatch.setattr(sys, "argv", [path, *map(str, arguments)])
-        return runpy.run_path(path, run_name="__main__")
+        path = DEMOS / name
+        monkeypatch.setattr(sys, "argv", [str(path), *map(str, arguments)])
+        source = path.read_text(encoding="utf-8")
+        if name in COARSER:
+            line, coarser = COARSER[name]
+            agree(source.count(line) == 1, line)
+            source = source.replace(line, coarser)
+        variables: dict[str, Any] = {"__name__": "__main__"}
+        exec(compile(source, str(path), "exec"), variables)
+        return variables
 
-    yield script
-    for name in set(sys.modules) - known:
-        if DEMOS in Path(getattr(sys.modules[name], "__file__", None) or "/").parents:
-            del sys.modules[name]
+    return script
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
     return on_first(lambda: json.loads((folder / "summary.json").read_text()))
 
 
-def check_pictures(folder: Path, *names: str, height: int = 500, width: int = 800) -> None:
+def check_pictures(folder: Path, *names: str, height: int = 300, width: int = 500) -> None:
     """Each is there, large enough to look at, and not of one colour."""
     from matplotlib.image import imread
 
@@ -90,21 +110,36 @@ def check_pictures(folder: Path, *names: str, height: int = 500, width: int = 80
 
 @pytest.mark.serial
 def test_every_demo_has_its_test():
-    """Whoever adds one adds a test here; what can be taken away imports nothing of its folder."""
+    """Whoever adds one adds a test here."""
     there = {path.name for path in DEMOS.glob("demo_*.py")}
-    agree(there == {*ALONE, "demo_artery.py", "demo_patient.py", *SHARING})
-    beside = "|".join([*(path.stem for path in DEMOS.iterdir()), "meshes"])
-    for name in ALONE.keys() - set(SHARING):
-        source = (DEMOS / name).read_text(encoding="utf-8")
-        agree(not re.search(rf"^(import|from) ({beside})\b", source, re.M), name)
+    agree(there == {*DEMO_PICTURES, "demo_case.py"})
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("name", sorted([*DEMO_PICTURES, "demo_case.py"]))
+def test_demos_need_the_installed_package_alone(name):
+    """They import nothing of a checkout, and know no file in it; notebooks have no ``__file__``."""
+    source = (DEMOS / name).read_text(encoding="utf-8")
+    beside = {"benchmarks", "demos", "meshes", "scripts", "tests"}
+    beside |= {path.stem for path in DEMOS.iterdir()}
+    for node in ast.walk(ast.parse(source)):
+        imported = []
+        if isinstance(node, ast.Import):
+            imported = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            imported = [node.module]
+        agree(not beside & {module.split(".")[0] for module in imported}, imported)
+        is_riddle = isinstance(node, ast.Lambda | ast.NamedExpr)
+        agree(not is_riddle, f"{name}: {ast.unparse(node)}" if is_riddle else "")
+    agree("__file__" not in source and "fmt: skip" not in source)
 
 
 # -- they run
 
 
 @pytest.mark.processes(2)
-@pytest.mark.parametrize("name", sorted(ALONE))
-def test_demos_that_stand_alone(run, monkeypatch, tmp_path, name):
+@pytest.mark.parametrize("name", sorted(DEMO_PICTURES.keys() - LONG))
+def test_demos_without_a_command_line(run, monkeypatch, tmp_path, name):
     """Each ends in its own assertions; the first process has drawn its picture.
 
     On one process ``make docs`` runs them.
@@ -115,41 +150,22 @@ def test_demos_that_stand_alone(run, monkeypatch, tmp_path, name):
     for key in options.getAll():
         if key.startswith(("dolfinx_solve_", "direct_")):  # dolfinx leaves them behind
             options.delValue(key)
-    check_pictures(tmp_path / "output", ALONE[name], height=300, width=500)
+    check_pictures(tmp_path, DEMO_PICTURES[name])
 
 
 def test_linear_elasticity(run, monkeypatch, tmp_path):
     """Its own assertion holds it against MUMPS; the beam bends as the theory of beams says."""
     monkeypatch.chdir(tmp_path)
     beam = run("demo_linear_elasticity.py")
-    length, inertia, weight = 8.0, 1.0 / 12.0, 1e-2
+    length = 8.0
+    inertia = 1.0 / 12.0
+    weight = 1e-2
     tip = weight * length**4 / (8 * beam["E"] * inertia)
     tip += weight * length**2 / (2 * 5 / 6 * beam["mu"])  # by shear
     u = beam["uh"].x.array.reshape(-1, 3)
     sunk = -COMM.allreduce(u[:, 2].min(initial=0.0), op=min)
     small(sunk / tip - 1.0, 0.03)
     small(beam["difference"], 1e-7)
-
-
-def test_classical_vs_all_floating(run, tmp_path):
-    """Its own assertions, the numbers of one process, and a picture."""
-    demo = run("demo_classical_vs_all_floating.py", tmp_path)
-    expected = {("all_floating", 3): 9.27, ("classical", 3): 21.1, ("classical", 1): 9.11}
-    for (kind, n), condition in expected.items():
-        small(demo["condition"][kind, "dirichlet", n] / condition - 1.0, 0.01)
-    agree(demo["solvers"]["all_floating", "lumped", 1][-1].multipliers == 3876)
-    check_pictures(tmp_path, "cube.png")
-
-
-def test_own_material(run, tmp_path):
-    """Its own assertions, on a coarse tube; the plaque holds the wall back."""
-    demo = run("demo_own_material.py", "--size", "1", "--pressure", "15", "--output", tmp_path)
-    for result in demo["results"].values():
-        agree(result["load_steps"] >= 2, result)
-        agree(0.0 < result["difference_to_mumps"] <= 1e-6, result)
-    moved = {name: result["max_displacement_mm"] for name, result in demo["results"].items()}
-    agree(moved["plaque"] < 0.5 * moved["fibres"], moved)
-    check_pictures(tmp_path, *(f"{name}.png" for name in demo["results"]))
 
 
 def check_tube(folder: Path) -> None:
@@ -170,15 +186,15 @@ def check_tube(folder: Path) -> None:
 
 
 @pytest.mark.processes(2)
-def test_artery(run, tmp_path):
-    run("demo_artery.py", *TUBE, "--output", tmp_path)
+def test_case(run, tmp_path):
+    run("demo_case.py", *TUBE, "--output", tmp_path)
     check_tube(tmp_path)
 
 
 @pytest.mark.serial
-def test_artery_from_the_command_line(tmp_path):
+def test_case_from_the_command_line(tmp_path):
     """On one process, with the numbers of any other number."""
-    words = [DEMOS / "demo_artery.py", *TUBE, "--output", tmp_path, "-log_view"]
+    words = [DEMOS / "demo_case.py", *TUBE, "--output", tmp_path, "-log_view"]
     how = {"cwd": ROOT, "stderr": subprocess.STDOUT, "timeout": 300.0, "text": True}
     said = subprocess.check_output([sys.executable, *words], **how)
     agree("FETISolve" in said and "A Newton step at 2 mmHg" in said, said)
@@ -189,17 +205,17 @@ def test_artery_from_the_command_line(tmp_path):
 
 @pytest.mark.processes(1)
 def test_vessel(run, tmp_path):
-    """What the demo takes if it is not told, on as coarse a mesh as there is."""
+    """The default of the demo, on as coarse a mesh as there is."""
     few = "--size 2 --degree 1 --pressure 0.5 --steps 1 --subdomains 8".split()
-    demo = run("demo_artery.py", *few, "--output", tmp_path)
+    demo = run("demo_case.py", *few, "--output", tmp_path)
     agree(len(demo["case"].conditions) == 4 and demo["quality"].minimum >= 0.1)
     agree(read_summary(tmp_path)["load_steps"][-1] == 0.5)
     check_pictures(tmp_path, "wall.png", "fibres.png")
 
 
 def test_wall_of_ones_own_and_options_of_the_solver(run, tmp_path):
-    with inserted("artery_", {"feti_type": "classical", "feti_pc_type": "lumped"}):
-        demo = run("demo_artery.py", *LEAST, "--output", tmp_path)
+    with inserted("case_", {"feti_type": "classical", "feti_pc_type": "lumped"}):
+        demo = run("demo_case.py", *LEAST, "--output", tmp_path)
     report = demo["problem"].solver.getKSP().getPythonContext().report()
     agree(report.options.type == "classical" and report.options.pc_type == "lumped")
     agree(demo["mesh"].topology.index_map(3).size_global == 336)
@@ -210,14 +226,14 @@ def test_picture_that_cannot_be_written_ends_all_processes(run, tmp_path):
     """The first process alone draws; the others would wait for it in the comparison with MUMPS."""
     on_first(lambda: (tmp_path / "wall.png").mkdir())
     with raises(IsADirectoryError, "wall.png"):
-        run("demo_artery.py", *LEAST, "--output", tmp_path)
+        run("demo_case.py", *LEAST, "--output", tmp_path)
 
 
 # -- walls in TOML files
 
 
 def write_case(folder, image: float):
-    """The example's case on another mesh, a tube with two openings."""
+    """A case with an image, of the example's tube with two openings."""
     text = (DEMOS / "patient.toml").read_text(encoding="utf-8")
     text = text.replace('"vessel"', f'"{EXAMPLE}"').replace("= 80.0 ", f"= {image} ")
     text = text.replace('[surfaces.opening_3]\nhold = "clamp"\n', "")
@@ -226,31 +242,13 @@ def write_case(folder, image: float):
     return path
 
 
-@pytest.mark.processes(2)
-def test_back_to_the_image(run, tmp_path):
-    """The image again, for less than three inflations; two pictures."""
-    run(
-        "demo_patient.py",
-        "--case",
-        write_case(tmp_path, 80.0),
-        "--subdomains",
-        "4",
-        "--output",
-        tmp_path,
-    )
-    summary = read_summary(tmp_path)
-    small(summary["loaded_wall_off_the_image_mm"], 1e-6)
-    agree(summary["unloaded_wall_receded_by_mm"] > 1e-3, summary)
-    agree(0 < summary["iterations_unloading"] <= 3 * summary["iterations_back"], summary)
-    check_pictures(tmp_path, "unloaded.png", "stress.png", height=300, width=500)
-
-
 def test_case_in_a_file(run, tmp_path):
     """The example: springs and dashpots, which hold the wall back, and an end that slides."""
     few = "--size 1 --degree 1 --steps 2 --subdomains 4".split()
-    demo = run("demo_artery.py", "--wall", DEMOS / "wall.toml", *few, "--output", tmp_path)
+    demo = run("demo_case.py", "--wall", DEMOS / "wall.toml", *few, "--output", tmp_path)
     summary = read_summary(tmp_path)
-    agree({name: tissue.c for name, tissue in demo["tissues"]} == {"media": 3.0, "adventitia": 0.3})
+    tissues = demo["case"].layers
+    agree((tissues["media"].c, tissues["adventitia"].c) == (3.0, 0.3))
     boundary = demo["boundary"]
     before, last = summary["load_steps"][-2:]
     small(float(boundary.time_step.value) - (last - before) / 100, 1e-12)
@@ -272,7 +270,7 @@ def test_prestretch_of_one_layer(run, tmp_path):
 
     on_first(write)
     few = "--degree 1 --steps 2 --subdomains 4 --pressure 2".split()
-    demo = run("demo_artery.py", *few, "--output", tmp_path, "--wall", tmp_path / "own.toml")
+    demo = run("demo_case.py", *few, "--output", tmp_path, "--wall", tmp_path / "own.toml")
     summary = read_summary(tmp_path)
     agree(summary["load_steps"] == [1.0, 2.0] and demo["case"].layers["wall"].c == 20.0, summary)
     x = demo["V"].tabulate_dof_coordinates()
@@ -284,7 +282,7 @@ def test_prestretch_of_one_layer(run, tmp_path):
 # -- what they refuse
 
 
-def refused(run, capsys, match, *arguments, demo="demo_artery.py"):
+def refused(run, capsys, match, *arguments, demo="demo_case.py"):
     """The demo ends on all processes with status 2, and one line on the first."""
     capsys.readouterr()
     status = None
@@ -311,13 +309,13 @@ def refused(run, capsys, match, *arguments, demo="demo_artery.py"):
         (["-ksp_monitor", "--pressure", "10", "50"], {}, "arguments: 50 after --pressure"),
         (["--mesh", "nowhere.msh"], {}, "no file nowhere.msh"),
         ([*LEAST, "--subdomains", "337"], {}, "subdomains is 337, but the mesh has 336 cells"),
-        (LEAST, {"feti_typ": "classical"}, "-artery_feti_typ does not exist; did .*feti_type"),
+        (LEAST, {"feti_typ": "classical"}, "-case_feti_typ does not exist; did .*feti_type"),
         (LEAST, {"feti_type": "classic"}, "feti_type.*classic"),
     ],
 )
-def test_what_the_artery_refuses(run, tmp_path, capsys, arguments, options, match):
+def test_what_the_case_refuses(run, tmp_path, capsys, arguments, options, match):
     """Words, a missing mesh, and options of the solver."""
-    with inserted("artery_", options):
+    with inserted("case_", options):
         refused(run, capsys, match, "--output", tmp_path, *arguments)
 
 
@@ -330,12 +328,14 @@ def test_output_folder_is_tried_before_the_mesh(run, tmp_path, capsys):
 
 def test_mesh_with_a_missing_tag(run, tmp_path, capsys):
     """The message lists the names found."""
-    path, tags = tmp_path / "wall.msh", {k: v for k, v in TAGS.items() if k != "lumen"}
+    path = tmp_path / "wall.msh"
+    tags = {k: v for k, v in TAGS.items() if k != "lumen"}
     on_first(lambda: write_msh(path, read_raw_wall(EXAMPLE), tags))
     match = "surfaces.lumen.: the wall has no surface 'lumen'; it has outer, opening_1, opening_2"
     refused(run, capsys, match, "--mesh", path, "--output", tmp_path / "run")
 
 
-def test_image_beyond_the_pressure(run, tmp_path, capsys):
-    words = "--case", write_case(tmp_path, 130.0), "--output", tmp_path
-    refused(run, capsys, "", *words, demo="demo_patient.py")
+def test_case_of_an_image(run, tmp_path, capsys):
+    """Another demo has a wall from an image."""
+    words = "--wall", write_case(tmp_path, 80.0), "--output", tmp_path
+    refused(run, capsys, r"leave out \[image\].*demo_patient.py", *words)

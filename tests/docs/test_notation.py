@@ -65,7 +65,10 @@ def test_every_documented_name_is_in_the_code():
     assert not parts - code
 
 
-@pytest.mark.parametrize("room", ["feti", "problems", "fem", "mechanics", "workshop", "wall"])
+ROOMS = ["feti", "problems", "fem", "contact", "mechanics", "workshop", "wall"]
+
+
+@pytest.mark.parametrize("room", ROOMS)
 def test_every_letter_of_the_code_is_documented(room):
     letters = {
         name.strip("_")

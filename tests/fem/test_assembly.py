@@ -23,6 +23,8 @@ from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, tear
 from dolfinx_feti.fem.facets import one_side
 from dolfinx_feti.fem.near_kernel import attach_near_kernel
+from dolfinx_feti.fem.split_form import split_torn_form
+from dolfinx_feti.fem.torn_matrix import create_torn_matrix_on, dirichlet_mask
 from dolfinx_feti.torn.matrix import Torn
 
 SEED = 27182
@@ -37,8 +39,8 @@ def torn_matrix(lifetime):
         compiler = Compiler(COMM)
         K = assembly.create_local_matrix(space, compiler)
         lifetime.own(K.mat)
-        assembly.assemble(K, assembly.torn_form(problem.a, space, compiler))
-        return space, K.mat, lifetime.own(assembly.create_matis(space, K.mat, problem.bcs))
+        assembly.assemble(K, split_torn_form(problem.a, space, compiler))
+        return space, K.mat, lifetime.own(create_torn_matrix_on(space, K.mat, problem.bcs))
 
     return create
 
@@ -56,7 +58,8 @@ def entries(A):
 
 def two_components_in_space():
     V = dolfinx.fem.functionspace(cube(3, 2), ("Lagrange", 1, (2,)))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    u = ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
     return Problem(V, ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, None, [])
 
 
@@ -85,7 +88,9 @@ def test_sum_of_the_subdomains_is_the_assembled_matrix(create, torn_matrix, life
     _, K, A = torn_matrix(Problem(problem.V, cell_part, problem.L, problem.bcs))
     attach_near_kernel(A, problem.V)
     torn = lifetime.own(Torn(A))
-    R, bs, dim = torn.near_kernel(), problem.V.dofmap.index_map_bs, problem.V.mesh.geometry.dim
+    R = torn.near_kernel()
+    bs = problem.V.dofmap.index_map_bs
+    dim = problem.V.mesh.geometry.dim
     agree(R.shape[1] == (bs * (bs + 1) // 2 if bs == dim else bs), R.shape)
     for mode in A.getNearNullSpace().getVecs():
         small(mode.norm() - 1.0, 1e-13)
@@ -115,9 +120,10 @@ def test_values_are_overwritten_in_shared_memory():
     factor = dolfinx.fem.Constant(problem.V.mesh, 1.0)
     space = tear(problem.V, decompose(problem.V.mesh, 3))
     K = assembly.create_local_matrix(space, Compiler(COMM))
-    form = assembly.torn_form(factor * problem.a, space, Compiler(COMM))
+    form = split_torn_form(factor * problem.a, space, Compiler(COMM))
     assembly.assemble(K, form)
-    before, state = K.mat.copy(), K.mat.stateGet()
+    before = K.mat.copy()
+    state = K.mat.stateGet()
     assembly.assemble(K, form)
     agree(K.mat.equal(before) and K.mat.stateGet() > state)
     factor.value = 3.0
@@ -125,7 +131,8 @@ def test_values_are_overwritten_in_shared_memory():
     before.scale(3.0)
     before.axpy(-1.0, K.mat)
     small(before.norm(), 1e-14 * K.mat.norm())
-    mat, values = K.mat, K.csr.data.copy()
+    mat = K.mat
+    values = K.csr.data.copy()
     mat.scale(2.0)
     agree(np.array_equal(K.csr.data, 2.0 * values))
     del K
@@ -154,8 +161,8 @@ def test_dirichlet_dofs_are_those_of_the_conditions(torn_matrix):
     expected = np.zeros((n, 2), dtype=bool)
     expected[np.isclose(x[:, 0], 0.0)] = True
     expected[np.isclose(x[:, 0], 1.0), 1] = True
-    equal(assembly.dirichlet_mask(V, problem.bcs), expected.ravel())
-    agree(not assembly.dirichlet_mask(V, []).any())
+    equal(dirichlet_mask(V, problem.bcs), expected.ravel())
+    agree(not dirichlet_mask(V, []).any())
     _, _, A = torn_matrix(problem)
     named = A.query("dirichlet").getIndices()
     first = V.dofmap.index_map.local_range[0] * 2
@@ -176,7 +183,8 @@ def test_surface_inside_from_one_side(cell, torn_matrix):
     """It is dolfinx's own integral over interior facets, of values; ends on the boundary count."""
     mesh = cube(3 if cell == Cell.tetrahedron else 2, 4, cell)
     problem = poisson(mesh, degree=2)
-    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
+    u = ufl.TrialFunction(problem.V)
+    v = ufl.TestFunction(problem.V)
     k = dolfinx.fem.Function(problem.V)
     k.interpolate(lambda x: 1.0 + x[1] ** 2)
     tdim = mesh.topology.dim

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import logging
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -17,13 +19,25 @@ import basix.ufl
 import dolfinx
 import ufl
 
+import dolfinx_feti.fem.cell_kernels
 from dolfinx_feti import kinematics, materials
-from dolfinx_feti.fem.assembly import cell_tensors
+from dolfinx_feti.fem.cell_kernels import generator
+from dolfinx_feti.fem.cell_kernels.generator import CellKernels, KernelGenerator
+from dolfinx_feti.fem.cell_kernels.kernel import Kernel
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.kernels import kernel
-from dolfinx_feti.fem.kernels.kernel import compile_cells, create_kernels
+from dolfinx_feti.fem.condensation.cellwise_forms import CellwiseForms
 
 EPS = np.finfo(float).eps
+
+
+def create_kernels(forms: list[ufl.Form], mesh: dolfinx.mesh.Mesh) -> list[Kernel] | None:
+    """Create kernels of forms over all cells, by a new generator."""
+    return KernelGenerator().create_kernels(forms, mesh)
+
+
+def split_cells(forms: list[ufl.Form], mesh: dolfinx.mesh.Mesh) -> CellKernels:
+    """Split forms into kernels and other integrals, by a new generator."""
+    return KernelGenerator().generate(forms, mesh)
 
 
 def curved(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.Mesh:
@@ -35,10 +49,8 @@ def curved(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.Mesh:
 
 def artery(mesh: dolfinx.mesh.Mesh, degree: int, pressure: tuple) -> list[ufl.Form]:
     """All forms of a fibre-reinforced wall; fibres, a pressure and a stiffness of each cell."""
-    u, p = (
-        displacement(mesh, degree),
-        dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, pressure)),
-    )
+    u = displacement(mesh, degree)
+    p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, pressure))
     p.interpolate(lambda x: np.cos(3 * x[0]))
     stiffness = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
     stiffness.interpolate(lambda x: 2.0 + x[1])
@@ -46,7 +58,8 @@ def artery(mesh: dolfinx.mesh.Mesh, degree: int, pressure: tuple) -> list[ufl.Fo
     fibre = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0, (gdim,))))
     fibre.interpolate(lambda x: np.stack([np.cos(x[0]), np.sin(x[0]), 0 * x[0]])[:gdim])
     F = kinematics.deformation_gradient(u)
-    C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+    C = kinematics.right_cauchy_green(F)
+    J = kinematics.jacobian(F)
     e = ufl.as_vector([1.0, *[0.0] * (gdim - 1)])
     psi = materials.holzapfel_gasser_ogden(C, fibre, e, c=stiffness, k1=2.0, k2=0.8, J=J)
     energy = (psi + p * (J - 1) - p**2 / 20) * ufl.dx(metadata={"quadrature_degree": 2 * degree})
@@ -69,42 +82,34 @@ def test_kernel_is_the_assembled_form(body):
     """Energy, residuals and all blocks of the tangent, from one visit of each cell."""
     forms = body()
     mesh = forms[-1].arguments()[0].ufl_function_space().mesh
-    ((_, kernel),) = create_kernels(forms, mesh)
+    (kernel,) = create_kernels(forms, mesh)
     for form, values in zip(forms, kernel.evaluate(), strict=True):
         require_equal(form, values, 200 * EPS)
 
 
-def test_code_is_generated_once(monkeypatch):
-    """For other functions, constants and meshes; and again where the forms share others."""
-    generated = []
-    generate = kernel.generate
+ORDERS = {
+    "two functions": lambda one, other: (one, other),
+    "one function and another constant": lambda one, other: (one, (*one[:2], other[2])),
+    "two functions the other way round": lambda one, other: (other, one),
+}
 
-    def counted(*arguments):
-        generated.append(arguments)
-        return generate(*arguments)
 
-    monkeypatch.setattr(kernel, "generate", counted)
-    monkeypatch.setattr(kernel, "_generated", {})
-
-    orders = (
-        lambda one, other: (one, other),
-        lambda one, other: (one, (*one[:2], other[2])),
-        lambda one, other: (other, one),
-    )
-    for count, n in ((0, 2), (0, 3), (1, 2), (1, 3), (2, 2)):
-        mesh = cube(2, n)
-        f, g = displacement(mesh, 1), displacement(mesh, 1)
-        g.x.array[:] += n
-        a, b = (dolfinx.fem.Constant(mesh, value * n) for value in (2.0, 5.0))
-        v = ufl.TestFunction(f.function_space)
-        forms = [
-            c * ufl.dot(first, second) * first[0] * v[1] * ufl.dx
-            for first, second, c in orders[count]((f, g, a), (g, f, b))
-        ]
-        ((_, created),) = create_kernels(forms, mesh)
-        for form, values in zip(forms, created.evaluate(), strict=True):
-            require_equal(form, values, 1e-13)
-        agree(len(generated) == count + 1, len(generated))
+@pytest.mark.parametrize("order", ORDERS.values(), ids=ORDERS)
+def test_functions_of_several_forms(order):
+    """Each form reads its own functions and constants, whichever form names them first."""
+    mesh = cube(2, 2)
+    f = displacement(mesh, 1)
+    g = displacement(mesh, 1)
+    g.x.array[:] += 2.0
+    a, b = (dolfinx.fem.Constant(mesh, value) for value in (4.0, 10.0))
+    v = ufl.TestFunction(f.function_space)
+    forms = [
+        c * ufl.dot(first, second) * first[0] * v[1] * ufl.dx
+        for first, second, c in order((f, g, a), (g, f, b))
+    ]
+    (kernel,) = create_kernels(forms, mesh)
+    for form, values in zip(forms, kernel.evaluate(), strict=True):
+        require_equal(form, values, 1e-13)
 
 
 def test_regions_and_the_rest():
@@ -115,14 +120,16 @@ def test_regions_and_the_rest():
     tags = dolfinx.mesh.meshtags(mesh, 2, cells, (cells % 3).astype(np.int32))
     dx = ufl.Measure("dx", mesh, subdomain_data=tags)
     form = u[0] * (dx + dx((1, 2)) + dx(2)) + u[0] * ufl.ds + u[1] * dx(scheme="vertex")
-    kernels, (rest,) = compile_cells([form], mesh)
-    (one, two, everywhere) = (kernel.cells for _, kernel in kernels)
-    agree(everywhere is None and all(numbers == [0] for numbers, _ in kernels), kernels)
+    split = split_cells([form], mesh)
+    (rest,) = split.remaining
+    one, two, everywhere = (kernel.cells for kernel in split.kernels)
+    agree(everywhere is None and all(kernel.forms == (0,) for kernel in split.kernels))
     agree(np.array_equal(one, cells[1::3]) and np.array_equal(two, cells[2::3]), (one, two))
     agree({i.integral_type() for i in rest.integrals()} == {"exterior_facet", "cell"}, rest)
     form = u[0] * ufl.dx + u[0] * ufl.dx(3)  # dolfinx tells what 3 is
-    kernels, (rest,) = compile_cells([form], mesh)
-    agree(len(kernels) == len(rest.integrals()) == 1, rest)
+    split = split_cells([form], mesh)
+    agree(len(split.kernels) == 1)
+    agree(len(split.remaining[0].integrals()) == 1)
 
 
 def at_points(mesh: dolfinx.mesh.Mesh, shape: tuple[int, ...]) -> dolfinx.fem.Function:
@@ -149,7 +156,8 @@ def test_what_only_ffcx_compiles(what):
             dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("N1curl", 1)))[0] + 1.0
         ),
     }[what]()
-    v, du = ufl.TestFunction(u.function_space), ufl.TrialFunction(u.function_space)
+    v = ufl.TestFunction(u.function_space)
+    du = ufl.TrialFunction(u.function_space)
     dx = ufl.dx(degree=2)
     forms = [f * v[0] * dx, f * ufl.inner(ufl.grad(du), ufl.grad(v)) * dx]
     agree(create_kernels(forms, mesh) is None)
@@ -160,14 +168,16 @@ def test_what_only_ffcx_compiles(what):
 def test_surfaces_of_cells():
     """A term on the boundary is added to the values of its cells."""
     u = displacement(cube(3, 2), 1)
-    v, du = ufl.TestFunction(u.function_space), ufl.TrialFunction(u.function_space)
+    v = ufl.TestFunction(u.function_space)
+    du = ufl.TrialFunction(u.function_space)
     forms = [u[0] * v[1] * (ufl.dx + ufl.ds), ufl.inner(du, v) * ufl.dx + du[0] * v[1] * ufl.ds]
     for form, values in zip(forms, tensors(forms, u.function_space.mesh)(), strict=True):
         require_equal(form, values, 1e-13)
 
 
 def tensors(forms: list[ufl.Form], mesh: dolfinx.mesh.Mesh) -> Callable[[], list[np.ndarray]]:
-    return cell_tensors(forms, mesh, Compiler(COMM))
+    """Compile forms, and return a function that assembles them cell by cell."""
+    return CellwiseForms(forms, mesh, Compiler(COMM)).assemble
 
 
 def test_what_is_no_number_stays_none():
@@ -188,7 +198,8 @@ def test_what_is_no_number_stays_none():
 def test_values_at_the_time_of_evaluation():
     """Coefficients, constants and the mesh may change."""
     mesh = cube(2, 2)
-    u, k = displacement(mesh, 1), dolfinx.fem.Constant(mesh, 2.0)
+    u = displacement(mesh, 1)
+    k = dolfinx.fem.Constant(mesh, 2.0)
     assemble = tensors([k * u[0] * u[0] * ufl.dx], mesh)
     (before,) = assemble()
     u.x.array[:] *= 3.0
@@ -196,3 +207,59 @@ def test_values_at_the_time_of_evaluation():
     mesh.geometry.x[:] *= 2.0
     (after,) = assemble()
     equal(after, 18.0 * before, 1e-14)
+
+
+WAYS = ["all", "last process", "import"]
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_private_parts_of_ffcx_that_have_moved(way, monkeypatch, caplog):
+    """FFCx compiles all forms, with the same values and one warning; no process waits."""
+    mesh = cube(2, 3)
+    u = displacement(mesh, 1)
+    v = ufl.TestFunction(u.function_space)
+    du = ufl.TrialFunction(u.function_space)
+    form = ufl.inner(ufl.grad(u), ufl.grad(v)) * u[0] * ufl.dx
+    forms = [form, ufl.derivative(form, u, du)]
+    generate = generator.import_and_generate
+
+    def moved(*arguments):
+        if way == "last process" and COMM.rank < COMM.size - 1:
+            return generate(*arguments)
+        raise AttributeError(f"module 'ffcx.ir' has no attribute '{way}'")
+
+    if way == "import":
+        package = dolfinx_feti.fem.cell_kernels
+        monkeypatch.delitem(sys.modules, f"{package.__name__}.program", raising=False)
+        monkeypatch.delitem(sys.modules, f"{package.__name__}.integrand", raising=False)
+        monkeypatch.delattr(package, "program", raising=False)
+        monkeypatch.setitem(sys.modules, "ffcx.ir.analysis.graph", None)
+    else:
+        monkeypatch.setattr(generator, "import_and_generate", moved)
+    of_problem = KernelGenerator()
+    for _ in range(2):
+        agree(of_problem.create_kernels(forms, mesh) is None)
+    split = of_problem.generate(forms, mesh)
+    agree(not split.kernels)
+    agree(not any(form.empty() for form in split.remaining))
+    said = COMM.allgather([r.getMessage() for r in caplog.records if r.levelno >= logging.WARNING])
+    agree([len(each) for each in said] == [1] + [0] * (COMM.size - 1), said)
+    agree("kernels of cells are off" in said[0][0] and "FFCx" in said[0][0], said)
+    for form, values in zip(forms, tensors(forms, mesh)(), strict=True):
+        require_equal(form, values, 1e-13)
+
+
+def test_a_form_that_fails_alone_is_no_reason_to_warn(monkeypatch, caplog):
+    """FFCx is as it was if it compiles another form."""
+    mesh = cube(2, 2)
+    u = displacement(mesh, 1)
+    generate = generator.import_and_generate
+
+    def partly(forms, mesh, functions, constants):
+        if functions:
+            raise KeyError("a function that no tape has")
+        return generate(forms, mesh, functions, constants)
+
+    monkeypatch.setattr(generator, "import_and_generate", partly)
+    agree(create_kernels([u[0] * ufl.dx], mesh) is None)
+    agree(not [r for r in caplog.records if r.levelno >= logging.WARNING], caplog.records)

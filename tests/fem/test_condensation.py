@@ -20,10 +20,10 @@ import ufl
 
 from dolfinx_feti import NonlinearProblem
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.condensation import Condensation
+from dolfinx_feti.fem.condensation.condensation import Condensation
 from dolfinx_feti.fem.decomposition import decompose, tear
-from dolfinx_feti.problems.forms import Forms
-from dolfinx_feti.problems.system import System
+from dolfinx_feti.problems.equations.system import System
+from dolfinx_feti.problems.forms import FieldEquation, Forms
 
 
 @pytest.fixture
@@ -32,8 +32,13 @@ def torn_system(lifetime) -> Callable[..., System]:
 
     def create(body: Block, subdomains: int = 5) -> System:
         decomposition = decompose(body.u.function_space.mesh, subdomains)
-        condensed = tuple(zip(body.F_fields, body.fields, strict=True))
-        forms = Forms(body.u, body.F_u, body.J, condensed, body.energy)
+        forms = Forms(
+            body.u,
+            body.F_u,
+            body.J,
+            field_equations=tuple(map(FieldEquation, body.F_fields, body.fields)),
+            energy=body.energy,
+        )
         return lifetime.own(System(forms, bcs=body.bcs, decomposition=decomposition))
 
     return create
@@ -43,9 +48,10 @@ def step(system: System) -> tuple[np.ndarray, np.ndarray]:
     """Solve the condensed problem with MUMPS; return Δu (owned) and Δp (with ghosts)."""
     system.linearise()
     here = system.residual()
-    b = system.A.createVecLeft()
-    b.array[:] = -here.equations
-    du = solve_assembled(system.A, b)
+    A = system.tangent.A
+    b = A.createVecLeft()
+    b.array[:] = -here.of_u
+    du = solve_assembled(A, b)
     b.destroy()
     return system.increment(here, du)[:2]
 
@@ -84,10 +90,11 @@ def test_condensed_matrix(element, torn_system):
     body.deform()
     system = torn_system(body, 3)
     system.linearise()
-    n, blocks = system.owned, Mixed(body).blocks()
+    n = system.owned
+    blocks = Mixed(body).blocks()
     K = np.block([[part.toarray() for part in row] for row in blocks])
     expected = K[:n, :n] - K[:n, n:] @ np.linalg.solve(K[n:, n:], K[n:, :n])
-    equal([system.multiply(e) for e in np.eye(n)], expected.T, 1e-13)
+    equal([system.tangent.multiply(e) for e in np.eye(n)], expected.T, 1e-13)
 
 
 @pytest.mark.parametrize("element", ["p2-p0", "q2-p1d", "q2-p1d-p1d"])
@@ -141,12 +148,37 @@ def test_processes_without_cells():
     F_u, F_p = (ufl.derivative(energy, f) for f in (u, p))
     cells = mesh.topology.index_map(3).size_local
     each = decompose(mesh, np.arange(cells))
-    space, compiler = tear(spaces[0], each), Compiler(COMM)
+    space = tear(spaces[0], each)
+    compiler = Compiler(COMM)
     condensation = Condensation(F_u, [F_p], u, [p], space=space, compiler=compiler)
-    condensation.prepare_multipliers()
+    condensation.create_multipliers()
     condensation.relax()
     agree(condensation.assemble().slope.shape == (cells, 4, 81))
-    agree(condensation.hold(condensation.values()) == 0.0)
+    agree(condensation.set_multipliers(condensation.values()) == 0.0)
+
+
+def test_multipliers_of_two_pressures_do_not_cancel():
+    """Each field's change counts alone, over the size of its constraint: λ/κ and λ/(2 κ)."""
+    mesh = dolfinx.mesh.create_unit_square(COMM, 3, 3)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
+    u = dolfinx.fem.Function(V)
+    p1, p2 = (dolfinx.fem.Function(Q, name=name) for name in ("p1", "p2"))
+    stress = p1 * u[0].dx(0) + p2 * u[1].dx(1)
+    energy = (ufl.inner(ufl.grad(u), ufl.grad(u)) + stress - (p1**2 + p2**2) / 20) * ufl.dx
+    F_u, *F_p = (ufl.derivative(energy, f) for f in (u, p1, p2))
+    space = tear(V, decompose(mesh, COMM.size))
+    condensation = Condensation(F_u, F_p, u, [p1, p2], space=space, compiler=Compiler(COMM))
+    p1.x.array[:] = 1.0
+    p2.x.array[:] = -1.0
+    with raises(RuntimeError, "needs create_multipliers"):
+        condensation.set_multipliers(condensation.values())
+    condensation.create_multipliers([2.0, 1.0])
+    equal(condensation.set_multipliers(condensation.values()), 0.1, 1e-12)
+    p2.x.array[:] = 0.0
+    equal(condensation.set_multipliers(condensation.values()), 0.1, 1e-12)
+    p1.x.array[:] = 3.0
+    equal(condensation.set_multipliers(condensation.values()), 0.1, 1e-12)
 
 
 def test_singular_block_is_refused(torn_system):

@@ -11,6 +11,7 @@ from collective import COMM, agree, small
 from problems import Cell, cube
 from random_forms import bent
 
+import basix.ufl
 import dolfinx
 import ufl
 
@@ -18,7 +19,10 @@ from dolfinx_feti.fem.quadrature import (
     estimated_quadrature_degree,
     limit_quadrature_degree,
     match_quadrature_degree,
+    quadrature_degrees,
+    set_quadrature_degrees,
 )
+from dolfinx_feti.problems.forms import derive
 
 
 def unknown(cell: Cell = Cell.triangle, degree: int = 2) -> dolfinx.fem.Function:
@@ -44,7 +48,8 @@ def test_energy_falls_as_its_residual_says(cell):
     u = unknown(cell)
     w = dolfinx.fem.Function(u.function_space)
     w.interpolate(lambda x: np.stack([x[0] * x[1], np.cos(3 * x[0])]))
-    start, h = u.x.array.copy(), 1e-4
+    start = u.x.array.copy()
+    h = 1e-4
     energy = density(u) * ufl.dx
     residual = ufl.derivative(energy, u, ufl.TestFunction(u.function_space))
     r = dolfinx.fem.assemble_vector(dolfinx.fem.form(residual))
@@ -77,7 +82,8 @@ def test_degrees_that_are_stated_stay():
 def test_each_part_of_the_domain_has_its_own():
     """FFCx does not mix dx, dx(1) and ds either; what has no residual is left alone."""
     u = unknown()
-    v, one = ufl.TestFunction(u.function_space), dolfinx.fem.Constant(u.function_space.mesh, 1.0)
+    v = ufl.TestFunction(u.function_space)
+    one = dolfinx.fem.Constant(u.function_space.mesh, 1.0)
     energy = (
         density(u) * ufl.dx(1)
         + ufl.inner(u, u) * ufl.dx
@@ -121,3 +127,74 @@ def highest(form: ufl.Form) -> int:
     stated = [int(m.get("quadrature_degree", -1)) for m in found]
     estimated = [int(np.max(m["estimated_polynomial_degree"])) for m in found]
     return max(s if s >= 0 else e for s, e in zip(stated, estimated, strict=True))
+
+
+def degrees_of(form: ufl.Form) -> set[int]:
+    """Return the degrees that FFCx integrates a form with."""
+    return set(quadrature_degrees(form).values())
+
+
+@pytest.mark.parametrize("kind", ["residual", "energy", "given"])
+def test_a_derived_tangent_has_the_degrees_of_its_residual(kind):
+    """For each type of integral and part; the residual keeps those that dolfinx takes."""
+    u = unknown()
+    V = u.function_space
+    mesh = u.function_space.mesh
+    v = ufl.TestFunction(V)
+    du = ufl.TrialFunction(V)
+    cells = dolfinx.mesh.locate_entities(mesh, 2, lambda x: x[0] <= 0.5)
+    tags = dolfinx.mesh.meshtags(mesh, 2, cells, np.full(len(cells), 1, dtype=np.int32))
+    dx = ufl.Measure("dx", mesh, subdomain_data=tags)
+    gap = u[0] - 0.1
+    energy = density(u) * dx + (gap * abs(gap)) * dx(1) + ufl.exp(u[1]) * ufl.ds
+    residual = ufl.derivative(energy, u, v)
+    F = energy if kind == "energy" else residual
+    J = ufl.derivative(residual, u, du) if kind == "given" else None
+    forms = derive(F, u, J=J, condense=(), energy=None, degree=None)
+    agree(quadrature_degrees(forms.F_u) == quadrature_degrees(residual), forms.F_u)
+    agree(quadrature_degrees(forms.J) == quadrature_degrees(residual), quadrature_degrees(forms.J))
+    plain = ufl.derivative(residual, u, du)
+    agree(quadrature_degrees(plain) != quadrature_degrees(residual), "UFL's own differ")
+    agree(forms.has_given_tangent == (kind == "given"))
+
+
+def test_an_energy_with_a_pressure_has_one_rule():
+    """K_up and K_pu are transposes of each other: all residuals have the same degrees."""
+    u = unknown()
+    p = dolfinx.fem.Function(dolfinx.fem.functionspace(u.function_space.mesh, ("DG", 0)))
+    energy = (density(u) + p * (ufl.det(ufl.Identity(2) + ufl.grad(u)) - 1) - p**2 / 20) * ufl.dx
+    forms = derive(energy, u, J=None, condense=(p,), energy=None, degree=None)
+    degrees = degrees_of(forms.F_u)
+    agree(degrees_of(forms.field_equations[0].residual) == degrees)
+    agree(degrees_of(forms.J) == degrees)
+
+
+def test_parts_of_one_integral_have_degrees_of_their_own():
+    """An integral over two parts becomes two where their degrees differ; the sum stays."""
+    u = unknown()
+    mesh = u.function_space.mesh
+    n = mesh.topology.index_map(2).size_local
+    numbers = np.arange(n, dtype=np.int32) % 2 + 1
+    tags = dolfinx.mesh.meshtags(mesh, 2, np.arange(n, dtype=np.int32), numbers)
+    dx = ufl.Measure("dx", mesh, subdomain_data=tags)
+    form = u[0] ** 2 * dx((1, 2)) + u[0] ** 4 * dx(2)
+    known = quadrature_degrees(form)
+    agree((known["cell", 1], known["cell", 2]) == (4, 8), known)
+    stated = set_quadrature_degrees(form, known)
+    agree(estimated_quadrature_degree(stated) == 0, "no integral is left to UFL")
+    small(integral(stated) - integral(form), 1e-13)
+    fixed = set_quadrature_degrees(u[0] ** 2 * dx(degree=3), known)
+    agree(degrees_of(fixed) == {3}, "a degree that is stated stays")
+
+
+def test_data_at_quadrature_points_state_their_degree():
+    """FFCx integrates them by their own rule, and the derivative without them has its degree."""
+    u = unknown()
+    mesh = u.function_space.mesh
+    v = ufl.TestFunction(u.function_space)
+    element = basix.ufl.quadrature_element("triangle", degree=3)
+    data = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
+    F = (data * v[0] + ufl.inner(ufl.grad(u), ufl.grad(v))) * ufl.dx
+    agree(degrees_of(F) == {3}, quadrature_degrees(F))
+    forms = derive(F, u, J=None, condense=(), energy=None, degree=None)
+    agree(degrees_of(forms.J) == {3}, quadrature_degrees(forms.J))

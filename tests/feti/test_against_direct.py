@@ -66,7 +66,8 @@ def test_all_options(kind, degree, pc_type, feti):
 
 def with_form(problem, form):
     """Add a form of u and v to the matrix of a problem."""
-    u, v = ufl.TrialFunction(problem.V), ufl.TestFunction(problem.V)
+    u = ufl.TrialFunction(problem.V)
+    v = ufl.TestFunction(problem.V)
     return replace(problem, a=problem.a + form(u, v))
 
 
@@ -119,11 +120,14 @@ ELEMENTS = {
     "elasticity, P1 and bubble, triangles": (elasticity, (2, 6), with_bubbles, False),
     "elasticity, P1 and bubble, tetrahedra": (elasticity, (3, 3), with_bubbles, False),
     "elasticity, P2 and face and cell bubbles": (
-        elasticity, (3, 2), lambda mesh: with_bubbles(mesh, 2), True,
+        elasticity,
+        (3, 2),
+        lambda mesh: with_bubbles(mesh, 2),
+        True,
     ),
     "Poisson, serendipity": (poisson, (2, 5, Cell.quadrilateral), serendipity, True),
     "elasticity, serendipity in space": (elasticity, (3, 2, Cell.hexahedron), serendipity, False),
-}  # fmt: skip
+}
 
 
 @every_formulation
@@ -134,12 +138,13 @@ def test_elements_other_than_lagrange(create, mesh, element, stretched, formulat
     problem = create(mesh, element=element(mesh), stretched=stretched)
     linear = solve(problem, 7, {"feti_formulation": formulation, "ksp_rtol": 1e-10})
     small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
-    form = linear.solver.getPythonContext().form
-    layout, dim = problem.V.dofmap.dof_layout, problem.V.mesh.topology.dim
+    form = linear.solver.getPythonContext().formulation
+    layout = problem.V.dofmap.dof_layout
+    dim = problem.V.mesh.topology.dim
     inside = problem.V.dofmap.list[: problem.cells, layout.entity_dofs(dim, 0)].ravel()
     dof = tear(problem.V, linear.decomposition).dof
     bs = problem.V.dofmap.index_map_bs
-    on_interface = np.concatenate(form.operator.interface) // bs
+    on_interface = np.concatenate(form.operator.interfaces) // bs
     agree(not np.isin(dof[on_interface], inside).any())
 
 

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from cases import case, each, every_interior, every_type
+from cases import case, each, every_formulation, every_interior, every_type
 from collective import COMM, agree, equal, raises
 from hand_torn import random_values, softened, solve, solved, unsymmetric
 from problems import cube, elasticity, owned, poisson, torn
@@ -26,16 +26,20 @@ import dolfinx
 import dolfinx_feti
 from dolfinx_feti import FETI
 from dolfinx_feti.diagnosis import advice
+from dolfinx_feti.feti.converged_reason import failure_message
 from dolfinx_feti.feti.options import CHOICES, FETIOptions
 from dolfinx_feti.feti.report import table
-from dolfinx_feti.feti.solver import _remedy
-from dolfinx_feti.problems.history import CLOSER, FAILURES
+from dolfinx_feti.feti.setup import Inertia
+from dolfinx_feti.feti.solve_info import Accuracy
+from dolfinx_feti.problems.iteration.failures import CLOSER_START, FAILURES, SMALLER_LOAD_STEPS
 
 SEED = 6174
 Reason = PETSc.KSP.ConvergedReason
 
-GRID, WIDE = case((2, 2), (3, 3), 2), case((3, 2), (3, 3), 2)
-ALONE, MANY = case((1, 1), (5, 5), 2), case((3, 3), (2, 2), 2)
+GRID = case((2, 2), (3, 3), 2)
+WIDE = case((3, 2), (3, 3), 2)
+ALONE = case((1, 1), (5, 5), 2)
+MANY = case((3, 3), (2, 2), 2)
 cg_and_gmres = pytest.mark.parametrize(
     "options", [{}, {"feti_dual_ksp_type": "gmres"}], ids=["cg", "gmres"]
 )
@@ -98,13 +102,14 @@ def test_maximum_of_iterations(options, torn_grid, feti, caplog):
     failed(ksp, Reason.DIVERGED_MAX_IT, "-test_ksp_max_it")
     agree(ksp.getIterationNumber() == 3)
     logged = [record.getMessage() for record in caplog.records]
-    agree(len(logged) == (COMM.rank == 0), logged)
+    agree(len(logged) == (1 if COMM.rank == 0 else 0), logged)
     agree(all("-test_ksp_max_it" in line for line in logged), logged)
 
 
 def shares(problem, values, x):
     """Return ‖b − A x‖/‖b − A x_D‖ on the free dofs, and that of 4 times its rounding errors."""
-    K, free = problem.matrix, ~problem.dirichlet
+    K = problem.matrix
+    free = ~problem.dirichlet
     scale = np.linalg.norm((values - K @ np.where(free, 0.0, values))[free])
     squares = values**2 + problem.T.T @ (problem.K_torn**2 @ (problem.T @ x) ** 2)
     rounding = np.finfo(float).eps * np.sqrt(squares[free].sum())
@@ -117,7 +122,7 @@ def shares(problem, values, x):
     ids=["dual", "primal", "gmres"],
 )
 def test_tolerance_out_of_reach_ends_at_rounding(options, torn_grid, feti):
-    """Not even refinement reaches a residual below rounding; what is reached is told."""
+    """Refinement does not reach a residual below rounding; the message has the one reached."""
     problem = torn_grid(**GRID)
     ksp = feti(problem.A, ksp_rtol=0.0, ksp_atol=0.0, **options)
     values = random_values(problem, SEED)
@@ -135,8 +140,8 @@ def test_tolerance_out_of_reach_ends_at_rounding(options, torn_grid, feti):
 @pytest.mark.parametrize("rtol", [1e-15, 1e-20])
 def test_residual_above_rounding_is_not_converged(rtol, torn_grid, feti, monkeypatch):
     """A Krylov method that ends far above its tolerance, on purpose, and no fresh start."""
-    monkeypatch.setattr("dolfinx_feti.feti.solver.AIM", 1e-11 / rtol)
-    monkeypatch.setattr("dolfinx_feti.feti.solver.RESTARTS", 0)
+    monkeypatch.setattr("dolfinx_feti.feti.outer_loop.TARGET_FACTOR", 1e-11 / rtol)
+    monkeypatch.setattr("dolfinx_feti.feti.outer_loop.MAX_FRESH_STARTS", 0)
     problem = torn_grid(**GRID)
     ksp = feti(problem.A, ksp_rtol=rtol)
     values = random_values(problem, SEED)
@@ -148,7 +153,7 @@ def test_residual_above_rounding_is_not_converged(rtol, torn_grid, feti, monkeyp
 
 def test_rounding_that_leaves_a_doubt_is_a_failure(torn_grid, feti, monkeypatch):
     """Here of every solution that rounding touches."""
-    monkeypatch.setattr("dolfinx_feti.feti.solver.DOUBTFUL", 1e-20)
+    monkeypatch.setattr("dolfinx_feti.feti.converged_reason.MAX_ROUNDING_SHARE", 1e-20)
     problem = torn_grid(**GRID)
     ksp = feti(problem.A, ksp_rtol=1e-20)
     context, _ = attempt(ksp, problem)
@@ -190,10 +195,14 @@ def test_negative_curvature(change, options, remedy, kind, torn_grid, feti, caut
 @pytest.mark.parametrize(
     ("grid", "share", "least"),
     [
-        (GRID, 0.0, 0), (GRID, 0.002, 0), (GRID, 0.01, 1),
-        (ALONE, 0.0, 0), (ALONE, 0.05, 1), (ALONE, 0.2, 1),
+        (GRID, 0.0, 0),
+        (GRID, 0.002, 0),
+        (GRID, 0.01, 1),
+        (ALONE, 0.0, 0),
+        (ALONE, 0.05, 1),
+        (ALONE, 0.2, 1),
     ],
-)  # fmt: skip
+)
 def test_indefinite_matrix_is_refused(kind, interior, grid, share, least, torn_grid, feti):
     """Before the first iteration, and not where subdomains buckle alone.
 
@@ -269,9 +278,13 @@ def test_no_remedy_is_in_force(reason, floor, method):
         options = FETIOptions(**dict(zip(CHOICES, values, strict=True)))
         for dual in {options.formulation != "primal", options.formulation == "dual"}:
             form = SimpleNamespace(
-                pattern=SimpleNamespace(options=options), solves_indefinite=dual, method=method
+                pattern=SimpleNamespace(options=options),
+                solves_indefinite=dual,
+                method=method,
+                name="dual" if dual else "primal",
+                inertia=Inertia(local=0, defect=0, interior=0, assembled=0),
             )
-            text = _remedy(reason, form, floor=floor).format("test_")
+            text = failure_message(reason, Accuracy(residual_floor=floor), form, "test_")
             texts.add(text)
             force = {"dual_ksp_type": method, "formulation": "dual" if dual else "primal"}
             for name, value in recommended(text):
@@ -286,8 +299,8 @@ def test_advice_that_is_followed_is_not_repeated(torn_grid, feti, monkeypatch):
     options = {"pc_type": "identity", "scaling": "multiplicity", "coarse_q": "identity"}
     options["formulation"] = "dual"
     said = []
-    monkeypatch.setattr("dolfinx_feti.feti.dual.krylov.STAGNATION", 3)
-    monkeypatch.setattr("dolfinx_feti.feti.solver.RESTARTS", 0)
+    monkeypatch.setattr("dolfinx_feti.feti.dual.krylov.STAGNATION_ITERATIONS", 3)
+    monkeypatch.setattr("dolfinx_feti.feti.outer_loop.MAX_FRESH_STARTS", 0)
     while not said or (said[-1] and len(said) < 4):
         ksp = feti(problem.A, **{f"feti_{name}": value for name, value in options.items()})
         solve(ksp, problem, random_values(problem))
@@ -300,6 +313,25 @@ def test_advice_that_is_followed_is_not_repeated(torn_grid, feti, monkeypatch):
         agree(all(options[name] != value for name, value in new), said)
         options |= dict(new)
     agree(len(said) > 1 and said[-1] == "", said)
+
+
+@pytest.mark.parametrize("pc_type", ["dirichlet", "lumped"])
+def test_dual_solve_that_takes_too_long_names_the_primal_formulation(pc_type, torn_grid, feti):
+    """And the preconditioner that goes with it; followed, it solves."""
+    problem = torn_grid(stiffness=lambda i: 1e6 ** (i % 2), **MANY)
+    options = {"formulation": "dual", "pc_type": pc_type, "coarse_q": "identity"}
+    for most in (2, 10_000):
+        own = {f"feti_{name}": value for name, value in options.items()}
+        ksp = feti(problem.A, ksp_max_it=most, **own)
+        attempt(ksp, problem)
+        said = ksp.getPythonContext().message
+        new = dict(recommended(said))
+        agree((most > 2) == (said == ""), said)
+        expected = {"formulation": "primal"}
+        if pc_type != "dirichlet":
+            expected |= {"pc_type": "dirichlet"}
+        agree(said == "" or new == expected, said)
+        options |= new
 
 
 UNFIT = [
@@ -325,19 +357,35 @@ def test_unsymmetric_matrix_is_solved_as_its_message_says(options, torn_grid, fe
 
 @pytest.mark.parametrize("scaling", CHOICES["scaling"])
 @pytest.mark.parametrize("modes", [0, 12])
-def test_advice_of_a_diagnosis_is_not_in_force(scaling, modes):
-    """Whatever else is measured: a jump of the stiffness, and a large condition number."""
+@every_formulation
+def test_advice_of_a_diagnosis_is_not_in_force(formulation, scaling, modes):
+    """Whatever else is measured: a jump of the stiffness, and a large condition number.
+
+    Soft modes have no effect in the primal formulation, whose adaptive columns take their place.
+    """
     chosen = {"feti_scaling": scaling, "feti_coarse_modes": modes}
+    chosen |= {"feti_formulation": formulation}
     found = torn(elasticity(cube(2, 8)), 2 * COMM.size, "test_", **chosen).diagnose()
     figures = {**found.figures, "jump of stiffness": 1e9}
     report = replace(found.report, eigenvalues=(1.0, 1e9), floor=1e-5)
     said = advice.advise(figures, report, iterations=1000, prefix="test_")
     new = recommended(" ".join(piece.text for piece in said))
     agree(all(str(chosen[f"feti_{name}"]) != value for name, value in new), said)
-    agree(len(new) == (scaling == "multiplicity") + (modes == 0), said)
+    is_dual = formulation == "dual"
+    agree((("formulation", "primal") in new) == is_dual, said)
+    expected = []
+    if scaling == "multiplicity":
+        expected.append("scaling")
+    if is_dual:
+        expected.append("formulation")
+    if is_dual and modes == 0:
+        expected.append("coarse_modes")
+    agree(sorted(name for name, _ in new) == sorted(expected), said)
     agree("residual that is rounding" in {piece.quantity for piece in said}, said)
 
 
 def test_newtons_messages_name_no_option_but_the_limit_of_steps():
-    texts = [text for _, text in FAILURES.values()] + list(CLOSER)
+    texts = [CLOSER_START, SMALLER_LOAD_STEPS]
+    for failure in FAILURES:
+        texts += [failure.cause, failure.remedy]
     agree(re.findall(r"snes_\w+|feti_\w+|ksp_\w+", " ".join(texts)) == ["snes_max_it"], texts)

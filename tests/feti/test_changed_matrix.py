@@ -16,8 +16,8 @@ from hand_torn import aij, random_values, solve
 from mixed import solve_assembled
 
 from dolfinx_feti import set_near_kernel
-from dolfinx_feti.runtime.connectivity import has_joined_copies
-from dolfinx_feti.runtime.petsc_library import function
+from dolfinx_feti.runtime.petsc_library import c_function
+from dolfinx_feti.torn.connectivity import has_repeated_dofs
 from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed, state_of
 
 LAST = COMM.rank == COMM.size - 1
@@ -29,7 +29,7 @@ def local(problem):
 
 
 def replaced(problem, K):
-    """Let another matrix be the local one; nobody else holds it, nor the one before."""
+    """Replace the local matrix; there are no other references to the old or the new one."""
     problem.A.setISLocalMat(K)
     problem.A.assemble()
     K.destroy()
@@ -79,7 +79,8 @@ def fewer_entries(problem):
 
 def numbering(problem):
     """The first two torn dofs of each process change places in the assembled numbering."""
-    K, dofs = local(problem), problem.A.getLGMap()[0].getIndices().copy()
+    K = local(problem)
+    dofs = problem.A.getLGMap()[0].getIndices().copy()
     dofs[:2] = dofs[:2][::-1].copy()
     lgmap = PETSc.LGMap().create(dofs, bsize=1, comm=COMM)
     problem.A.setLGMap(lgmap, lgmap)  # drops the local matrix
@@ -128,7 +129,7 @@ def near_kernel(problem):
 def near_kernel_in_place(problem):
     """PETSc locks the vectors; who insists can still change them."""
     mode = problem.A.getNearNullSpace().getVecs()[0]
-    unlock, lock = (function(f"VecLockRead{way}", (ctypes.c_void_p,)) for way in ("Pop", "Push"))
+    unlock, lock = (c_function(f"VecLockRead{way}", (ctypes.c_void_p,)) for way in ("Pop", "Push"))
     unlock(mode.handle)
     mode.scale(-1.0)
     lock(mode.handle)
@@ -186,7 +187,7 @@ def problem(torn_grid):
 def holds_two_copies(problem):
     """Two subdomains that share dofs are joined: on three processes, which hold neighbours."""
     torn = Torn(problem.A)
-    joined = has_joined_copies(problem.A, torn.subdomains)
+    joined = has_repeated_dofs(problem.A, torn.subdomains)
     torn.destroy()
     return joined
 
@@ -215,7 +216,8 @@ def test_neighbours_joined_are_refused(torn_grid, feti):
 @pytest.mark.parametrize("options", OPTIONS, ids=" ".join)
 @pytest.mark.parametrize("name", CHANGES)
 def test_next_solve_sees(name, options, problem, feti):
-    ksp, b = feti(problem.A, ksp_rtol=RTOL, **options), random_values(problem)
+    ksp = feti(problem.A, ksp_rtol=RTOL, **options)
+    b = random_values(problem)
     solved(ksp, problem, b)
     before = state_of(problem.A)
     CHANGES[name](problem)
@@ -229,7 +231,8 @@ def test_next_solve_sees(name, options, problem, feti):
 
 @pytest.mark.parametrize("options", OPTIONS, ids=" ".join)
 def test_one_change_after_the_other(options, problem, feti):
-    ksp, b = feti(problem.A, ksp_rtol=RTOL, **options), random_values(problem)
+    ksp = feti(problem.A, ksp_rtol=RTOL, **options)
+    b = random_values(problem)
     for change in CHANGES.values():
         change(problem)
         solved(ksp, problem, b)
@@ -245,9 +248,11 @@ WITHOUT = {
 def test_what_goes_is_missed(take, words, torn_grid, feti):
     """The message names the remedy; with the same objects back there is a solution again."""
     problem = torn_grid((2, 2), (2, 2), components=2)
-    ksp, b = feti(problem.A, ksp_rtol=RTOL), random_values(problem)
+    ksp = feti(problem.A, ksp_rtol=RTOL)
+    b = random_values(problem)
     solved(ksp, problem, b)
-    held, modes = problem.A.query("dirichlet"), problem.A.getNearNullSpace()
+    held = problem.A.query("dirichlet")
+    modes = problem.A.getNearNullSpace()
     take(problem.A)
     reason, x = solve(ksp, problem, b)
     message = ksp.getPythonContext().message
@@ -260,7 +265,8 @@ def test_what_goes_is_missed(take, words, torn_grid, feti):
 def test_unblocked_local_matrix(torn_grid, feti):
     """Two components, and a local matrix that does not know of them."""
     problem = torn_grid((2, 2), (2, 2), components=2)
-    ksp, b = feti(problem.A, ksp_rtol=RTOL), random_values(problem)
+    ksp = feti(problem.A, ksp_rtol=RTOL)
+    b = random_values(problem)
     solved(ksp, problem, b)
     csr = problem.local.getValuesCSR()
     K = PETSc.Mat().createAIJ(problem.local.getSize(), csr=csr, comm=PETSc.COMM_SELF)
@@ -300,7 +306,8 @@ def test_state_keeps_what_it_names(problem):
         scaled_copy(problem)
         seen.append(state_of(problem.A))
     agree(len({state.pattern for state in seen}) == len(set(seen)) == len(seen))
-    sizes, dofs = problem.A.getSizes()[0], problem.A.getLGMap()[0].getIndices()
+    sizes = problem.A.getSizes()[0]
+    dofs = problem.A.getLGMap()[0].getIndices()
     other = create_torn_matrix(local(problem), np.asarray(dofs), sizes, comm=COMM)
     agree(state_of(other) != seen[-1])
     other.destroy()

@@ -14,10 +14,14 @@ from cases import every_formulation
 from collective import COMM, agree, equal, raises, small, whole
 from hand_torn import random_values, solve, solved
 from mixed import solve_assembled
-from problems import cube, elasticity, poisson
+from problems import cube, dirichlet, elasticity, left, poisson
 
-from dolfinx_feti import FETI
+import dolfinx
+import ufl
+
+from dolfinx_feti import FETI, LinearProblem
 from dolfinx_feti.feti.setup import Inertia
+from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
 
 SEED = 101013
@@ -51,13 +55,15 @@ def test_monitor_and_history(everywhere, formulation, torn_grid, feti):
 
     As after ``if comm.rank == 0: ksp.setMonitor(…)``, too: it sees all iterations, and none waits.
     """
-    problem, seen = torn_grid(**GRID), []
+    problem = torn_grid(**GRID)
+    seen = []
     ksp = feti(problem.A, feti_coarse_q="identity", feti_formulation=formulation)
     if everywhere or COMM.rank == 0:
         ksp.setMonitor(lambda ksp, its, rnorm: seen.append((its, rnorm)))
     ksp.setConvergenceHistory(length=100)
     reason, _ = solve(ksp, problem, random_values(problem))
-    its, norms = ksp.getIterationNumber(), ksp.getConvergenceHistory()
+    its = ksp.getIterationNumber()
+    norms = ksp.getConvergenceHistory()
     agree(reason > 0 and ksp.getPythonContext().iterations == its and len(norms) == its + 1)
     expected = list(enumerate(norms)) if everywhere or COMM.rank == 0 else []
     agree(seen == expected, (seen, norms))
@@ -65,9 +71,42 @@ def test_monitor_and_history(everywhere, formulation, torn_grid, feti):
     agree(norms[-1] < 1e-7 * norms[0])
 
 
+@pytest.mark.parametrize("everywhere", [True, False])
+def test_convergence_test_is_refused(everywhere, torn_grid, feti, lifetime):
+    """FETI would never call it; the error is raised on all processes, wherever it was set."""
+    problem = torn_grid((2,), (2,))
+    ksp = feti(problem.A)
+    if everywhere or COMM.rank == 0:
+        ksp.setConvergenceTest(lambda ksp, its, rnorm: 1)
+    x, b = map(lifetime.own, problem.A.createVecs())
+    with raises(ValueError, "setConvergenceTest has no effect: .*ksp_rtol"), python_errors():
+        ksp.solve(b, x)
+
+
+def test_assembled_matrix(caplog, lifetime):
+    """The error names both ways to a torn matrix, and is logged for callers in C or C++."""
+    A = lifetime.own(PETSc.Mat().createAIJ((4, 4), comm=COMM))
+    first, last = A.getOwnershipRange()
+    for i in range(first, last):
+        A.setValue(i, i, 1.0)
+    A.assemble()
+    ksp = lifetime.own(PETSc.KSP().create(COMM))
+    ksp.setOperators(A)
+    ksp.setType("python")
+    ksp.setPythonContext(FETI())
+    x, b = map(lifetime.own, A.createVecs())
+    ways = r"type '.*aij'.*LinearProblem\(a, L, bcs=bcs\).linear_system\(\).*create_torn_matrix"
+    with raises(TypeError, ways), python_errors():
+        ksp.solve(b, x)
+    said = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
+    agree(len(said) == (1 if COMM.rank == 0 else 0), said)
+    agree(all(re.search(ways, text) for text in said), said)
+
+
 def test_monitor_of_gmres_knows_the_start(torn_grid, feti):
     """GMRES estimates the assembled residual; at the start it is measured."""
-    problem, seen = torn_grid(**GRID), {}
+    problem = torn_grid(**GRID)
+    seen = {}
     for method in ("cg", "gmres"):
         ksp = feti(problem.A, feti_dual_ksp_type=method, feti_interior="keep")
         ksp.setConvergenceHistory()
@@ -91,11 +130,13 @@ def test_view_and_report(torn_grid, feti, lifetime, tmp_path):
     ksp.setType(PETSc.KSP.Type.PYTHON)
     ksp.setPythonContext(feti(problem.A, feti_type="classical").getPythonContext())
     agree("python" in text(ksp))
-    for kind, expected in (
-        ("classical", ["2 of dimension 0, 2 of dimension 3", "dofs", "subdomains            4\n"]),
-        ("all_floating", ["4 of dimension 3; 4 exact", "dual form", "coarse size           12,"]),
+    size = "coarse size           12,"
+    for kind, formulation, expected in (
+        ("classical", "dual", ["2 of dimension 0, 2 of dimension 3", "subdomains            4\n"]),
+        ("all_floating", "primal", ["4 of dimension 3; 4 exact", "primal form", "primal system"]),
+        ("all_floating", "dual", ["4 of dimension 3; 4 exact", "dual form", "dual system", size]),
     ):
-        ksp = feti(problem.A, feti_type=kind)
+        ksp = feti(problem.A, feti_type=kind, feti_formulation=formulation)
         solve(ksp, problem, random_values(problem))
         report = ksp.getPythonContext().report()
         expected += [kind, "dirichlet", f"{report.multipliers}", "MiB", "condition number"]
@@ -110,8 +151,12 @@ def test_view_and_report(torn_grid, feti, lifetime, tmp_path):
     equal(ksp.getPythonContext().condition_number, high / low, 1e-14)
 
 
-def test_log_events(torn_grid, feti):
-    """-log_view counts the phases."""
+@pytest.mark.parametrize(
+    ("formulation", "expected"),
+    [("dual", [3, 5, 2, 3, 3, 2, 2]), ("primal", [3, 5, 4, 3, 3, 2, 2])],
+)
+def test_log_events(formulation, expected, torn_grid, feti):
+    """-log_view counts the phases; the columns of the primal form outlast the coarse matrix."""
     PETSc.Log.begin()
     names = ("FETIGluing", "FETIFactor", "FETICoarse", "FETISolve", "FETIIterations")
     names += ("FETISchur", "FETIModes", "FETISchurProduct", "FETILocalSolve", "FETICoarseSolve")
@@ -121,13 +166,13 @@ def test_log_events(torn_grid, feti):
 
     before = counts()
     problem = torn_grid((2, 2), (2, 2))
-    ksp = feti(problem.A)
+    ksp = feti(problem.A, feti_formulation=formulation)
     solve(ksp, problem, random_values(problem))
     solve(ksp, problem, random_values(problem, SEED + 4))
     problem.local.scale(2.0)
     solve(ksp, problem, random_values(problem))
     found = counts() - before
-    equal(found[:7], [3, 5, 2, 3, 3, 2, 2])
+    equal(found[:7], expected)
     agree(found[7:].min() > 0, found)
 
 
@@ -167,15 +212,66 @@ def test_krylov_methods_and_subsolvers_by_prefix(options, torn_grid, feti):
     agree(context.method == options.get("feti_dual_ksp_type", "cg"))
 
 
-def test_transposed_solves_and_assembled_matrices_are_refused(torn_grid, feti, lifetime):
+TRANSPOSED = [
+    {},
+    {"feti_type": "classical"},
+    {"feti_formulation": "dual"},
+    {"feti_formulation": "primal"},
+]
+
+
+@pytest.mark.parametrize("options", TRANSPOSED)
+def test_transposed_solve_of_a_symmetric_matrix(options, torn_grid, feti, lifetime):
+    """It is a solve: first, after another one, and after the matrix has changed."""
+    problem = torn_grid((3, 2), (3, 3))
+    b, x, y = (lifetime.own(problem.A.createVecRight()) for _ in range(3))
+    b.array[:] = np.arange(1.0, len(b.array_r) + 1.0)
+    ksp = feti(problem.A, ksp_rtol=1e-10, **options)
+    ksp.solveTranspose(b, x)
+    agree(ksp.getConvergedReason() > 0, ksp.getConvergedReason())
+    ksp.solve(b, y)
+    equal(x.array_r, y.array_r, 1e-8)
+    problem.local.scale(2.0)
+    ksp.solveTranspose(b, x)
+    ksp.solve(b, y)
+    equal(x.array_r, y.array_r, 1e-8)
+
+
+@pytest.mark.parametrize("way", ["KSP", "problem"])
+def test_transposed_solve_of_another_matrix(way):
+    """The message names the adjoint form, which solves Aᵀ y = c: c·A⁻¹ b = y·b."""
+    mesh = cube(2, 6)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
+    u = ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
+    a = (ufl.inner(ufl.grad(u), ufl.grad(v)) + 5.0 * u.dx(0) * v) * ufl.dx
+    x = ufl.SpatialCoordinate(mesh)
+    load = (1 + x[1]) * v * ufl.dx
+    goal = x[0] * v * ufl.dx
+    common = {"bcs": [dirichlet(V, left)], "subdomains": 4, "petsc_options": {"ksp_rtol": 1e-11}}
+    primal = LinearProblem(a, load, **common)
+    uh = primal.solve()
+    with raises(NotImplementedError, r"LinearProblem\(ufl\.adjoint\(a\)"), python_errors():
+        if way == "KSP":
+            A, b = primal.linear_system()
+            primal.create_linear_solver().solveTranspose(b, A.createVecRight())
+        else:
+            primal.solver.solveTranspose(primal.b, primal.x.duplicate())
+    yh = LinearProblem(ufl.adjoint(a), goal, **common).solve()
+    values = []
+    for form, w in ((goal, uh), (load, yh)):
+        functional = dolfinx.fem.form(ufl.action(form, w))
+        values.append(COMM.allreduce(dolfinx.fem.assemble_scalar(functional)))
+    small(values[0] / values[1] - 1.0, 1e-8)
+
+
+def test_assembled_matrices_are_refused(torn_grid, lifetime):
     """The message, which PETSc prints with the traceback, says what to do."""
     problem = torn_grid((2,), (2,))
-    b, x = map(lifetime.own, problem.A.createVecs())
-    with raises(PETSc.Error, ""):
-        feti(problem.A).solveTranspose(b, x)
     assembled = lifetime.own(PETSc.Mat())
     problem.A.convert("aij", assembled)
-    ksp, context = lifetime.own(PETSc.KSP().create(COMM)), FETI()
+    ksp = lifetime.own(PETSc.KSP().create(COMM))
+    context = FETI()
     ksp.setOperators(assembled)
     ksp.setType(PETSc.KSP.Type.PYTHON)
     ksp.setPythonContext(context)
@@ -186,7 +282,8 @@ def test_transposed_solves_and_assembled_matrices_are_refused(torn_grid, feti, l
 def test_symmetry_is_looked_at_after_a_failed_set_up(torn_grid, feti, lifetime):
     """NaN, and then a matrix that is not symmetric any more."""
     problem = torn_grid((2, 2), (3, 3))
-    ksp, values = feti(problem.A, ksp_rtol=1e-10), random_values(problem)
+    ksp = feti(problem.A, ksp_rtol=1e-10)
+    values = random_values(problem)
     solve(ksp, problem, values)
     keep = lifetime.own(problem.local.copy())
     problem.local.scale(np.nan)
@@ -198,7 +295,7 @@ def test_symmetry_is_looked_at_after_a_failed_set_up(torn_grid, feti, lifetime):
     problem.local.diagonalScale(weight)
     reason, x = solve(ksp, problem, values)
     agree(reason > 0, ksp.getPythonContext().message)
-    agree(not ksp.getPythonContext().form.pattern.symmetric)
+    agree(not ksp.getPythonContext().formulation.pattern.is_symmetric)
     equal(x, whole(solve_assembled(problem.A, problem.vector(values))), 1e-8)
 
 
@@ -223,7 +320,8 @@ def test_a_tolerance_set_by_hand_stays(before, torn_grid, lifetime):
 
 def test_the_users_monitor_of_the_dual_method_stays(torn_grid, feti, tmp_path):
     """It sees every solve, also where the user's own tolerance decides."""
-    problem, file = torn_grid(**GRID), tmp_path / "monitor"
+    problem = torn_grid(**GRID)
+    file = tmp_path / "monitor"
     ksp = feti(problem.A, feti_dual_ksp_rtol=1e-6, feti_dual_ksp_monitor=f"ascii:{file}::append")
     counts = []
     for seed in (1, 2):

@@ -17,7 +17,7 @@ from hand_torn import own_subdomains, random_values, solve, solved
 from dolfinx_feti import FETI
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.report import table
-from dolfinx_feti.feti.subdomain.operator import create_operator
+from dolfinx_feti.feti.subdomain.schur_operator import create_schur_operator
 from dolfinx_feti.torn.matrix import set_condensed
 
 Reason = PETSc.KSP.ConvergedReason
@@ -73,7 +73,7 @@ def test_serves_later_matrices(kind, interior, primal):
         ages.append(check(problem, ksp))
     agree(ages == [0, 1, 2, 0, 1], ages)
     report = ksp.getPythonContext().report()
-    agree(report.lag == 1 and "dirichlet, set up 1 matrix ago" in table(report))
+    agree(report.age == 1 and "dirichlet, set up 1 matrix ago" in table(report))
     scale(problem, [1.1, 1.0, 1.0, 1.0])
     ksp.getPythonContext().renew()
     agree(check(problem, ksp) == 0)
@@ -83,17 +83,18 @@ def test_serves_later_matrices(kind, interior, primal):
 def test_nothing_is_left_of_an_operator(lag, primal, monkeypatch):
     """When that of the next matrix is set up: both would not fit into the memory."""
     problem, ksp = primal(feti_interior="eliminate", feti_lag=lag)
-    left, last = [], []
+    left = []
+    last = []
 
     def watched(*arguments):
         left.extend(S() is not None for S in last)
-        return create_operator(*arguments)
+        return create_schur_operator(*arguments)
 
-    monkeypatch.setattr("dolfinx_feti.feti.setup.create_operator", watched)
+    monkeypatch.setattr("dolfinx_feti.feti.setup.create_schur_operator", watched)
     for factor in (1.0, 1.1, 0.9):
         scale(problem, [factor, 1.0, 1.0, 1.0])
         check(problem, ksp)
-        last = [weakref.ref(S) for S in ksp.getPythonContext().form.operator._S]
+        last = [weakref.ref(S.matrix) for S in ksp.getPythonContext().formulation.operator.blocks]
     agree(not any(left) and COMM.allreduce(len(left)) == 8, left)
 
 
@@ -104,13 +105,14 @@ def test_ritz_vectors_serve_later_matrices(interior, lag, primal):
     counts = {}
     for most in (0, 3):
         problem, ksp = primal(feti_interior=interior, feti_lag=lag, feti_deflation=most)
-        context, counts[most] = ksp.getPythonContext(), []
+        context = ksp.getPythonContext()
+        counts[most] = []
         for factor in (1.0, 0.3, 1.1, 0.9, 1.0):
             scale(problem, [factor, 1.0, 1.0 / factor, 1.0])
             if len(counts[most]) == 4:
                 context.renew()
             check(problem, ksp)
-            counts[most].append(context.report().recycled)
+            counts[most].append(context.report().ritz_vectors)
     agree(counts[0] == [0] * 5, counts)
     agree(counts[3][0] == counts[3][4] == 0 and max(counts[3]) <= 3, counts)
     if lag:
@@ -146,7 +148,7 @@ def test_ends_where_iterations_grow(kind, primal, monkeypatch):
     check(problem, ksp)
     scale(problem, OTHER)
     with monkeypatch.context() as patience:
-        patience.setattr("dolfinx_feti.feti.lasting.HOPELESS", 1.0)
+        patience.setattr("dolfinx_feti.feti.cache.MAX_GROWTH", 1.0)
         agree(check(problem, ksp) == 0, "the preconditioner of the first material is of no use")
         spent = ksp.getIterationNumber()
         same, limited = primal(feti_type=kind, ksp_max_it=spent - 1)
@@ -164,7 +166,7 @@ def test_set_up_that_fails_with_an_old_preconditioner_is_repeated(primal, monkey
     problem, ksp = primal()
     check(problem, ksp)
     scale(problem, [1.1, 1.0, 1.0, 1.0])
-    monkeypatch.setattr("dolfinx_feti.feti.lasting.set_up_operator", fail)
+    monkeypatch.setattr("dolfinx_feti.feti.cache.set_up_operator", fail)
     agree(check(problem, ksp) == 0)
 
 
@@ -182,7 +184,7 @@ def test_indefinite_matrix_is_told(primal, caplog):
 
 @pytest.mark.parametrize("how", ["", "condensed", "fails"])
 def test_other_form_where_matrix_turns_indefinite(how, torn_grid, feti, monkeypatch, cautious):
-    """``auto`` goes over to the dual form, with factors of its own, in double precision.
+    """``auto`` switches to the dual formulation, with new factors in double precision.
 
     Where these fail, there is a reason and a message, and no exception out of the solve.
     """
@@ -194,7 +196,7 @@ def test_other_form_where_matrix_turns_indefinite(how, torn_grid, feti, monkeypa
     agree(ksp.getPythonContext().report().formulation == "primal")
     scale(problem, [1.0, 1.0, -1.0, 1.0])
     if how == "fails":
-        monkeypatch.setattr("dolfinx_feti.feti.lasting.create_dual_form", fail)
+        monkeypatch.setattr("dolfinx_feti.feti.cache.create_dual_formulation", fail)
         reason, _ = solve(ksp, problem, random_values(problem))
         agree(reason == Reason.DIVERGED_PCSETUP_FAILED, reason)
         agree("no room today" in ksp.getPythonContext().message)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from cases import each, every_formulation
 from collective import COMM, agree, dense, equal, norm, raises, small, whole
+from hand_torn import nowhere, random_values, solve
 from problems import cube, dirichlet, elasticity, left, owned, poisson, torn, without
 
 import dolfinx
@@ -27,21 +28,26 @@ TOLERANCE = 1e-7
 METHODS = {
     "dual, all-floating": {"feti_formulation": "dual", "feti_type": "all_floating"},
     "dual, classical, Q = I": {
-        "feti_formulation": "dual", "feti_type": "classical", "feti_coarse_q": "identity",
+        "feti_formulation": "dual",
+        "feti_type": "classical",
+        "feti_coarse_q": "identity",
     },
     "dual, GMRES, lumped": {
-        "feti_formulation": "dual", "feti_pc_type": "lumped", "feti_dual_ksp_type": "gmres",
+        "feti_formulation": "dual",
+        "feti_pc_type": "lumped",
+        "feti_dual_ksp_type": "gmres",
     },
     "primal": {"feti_formulation": "primal"},
     "interior kept": {"feti_interior": "keep"},
     "the defaults": {},
-}  # fmt: skip
+}
 every_method = each("options", METHODS)
 
 
 def changed(free, form, *, add=True):
     """Add a form of u and v to the matrix of a problem, or put it in its place."""
-    u, v = ufl.TrialFunction(free.V), ufl.TestFunction(free.V)
+    u = ufl.TrialFunction(free.V)
+    v = ufl.TestFunction(free.V)
     return replace(free, a=form(u, v) * ufl.dx + (free.a if add else 0))
 
 
@@ -66,7 +72,7 @@ def linear_problem(problem, options, subdomains=6):
 
 
 def give(linear, count=None, scale=1.0):
-    """Give the first vectors of the near kernel to the matrix as its null space."""
+    """Attach the first vectors of the near kernel to the matrix as its null space."""
     A, b = linear.linear_system()
     b.destroy()
     vectors = [scale * z for z in A.getNearNullSpace().getVecs()[:count]]
@@ -143,11 +149,12 @@ def test_what_a_condition_leaves(options):
 
 @every_formulation
 def test_two_bodies(formulation):
-    """Each has a constant of its own; the sum of both is only a part of the null space."""
+    """Each has its constant; the sum of both is only a part of the null space."""
     halves = without(cube(2, 8), lambda x: (x[0] > 0.37) & (x[0] < 0.63))
     problem = poisson(halves, clamped=None)
     linear = linear_problem(problem, {"feti_formulation": formulation}, subdomains=12)
-    A, constants = linear.A, linear.A.createVecs()
+    A = linear.A
+    constants = linear.A.createVecs()
     x = problem.V.tabulate_dof_coordinates()[: constants[0].getLocalSize(), 0]
     for z, of_body in zip(constants, (x < 0.5, x > 0.5), strict=True):
         z.array[:] = of_body
@@ -202,20 +209,26 @@ def scalar(**clamped):
 REFUSED = {
     "A resists it": (
         lambda: changed(scalar(clamped=None), lambda u, v: 1e-3 * ufl.inner(u, v)),
-        {}, "no null vector, A resists it",
+        {},
+        "is not a null vector, A resists it",
     ),
     "unsymmetric": (
-        lambda: changed(scalar(clamped=None), lambda u, v: u.dx(0) * v), {}, "symmetric",
+        lambda: changed(scalar(clamped=None), lambda u, v: u.dx(0) * v),
+        {},
+        "symmetric",
     ),
-    "moves Dirichlet dofs": (scalar, {}, "no null vector, it moves Dirichlet dofs"),
+    "moves Dirichlet dofs": (scalar, {}, "is not a null vector, it moves Dirichlet dofs"),
     "not all of it": (
-        lambda: elasticity(cube(2, 5), clamped=None), {"count": 2},
+        lambda: elasticity(cube(2, 5), clamped=None),
+        {"count": 2},
         "singular, with a kernel of dimension 3",
     ),
     "not orthonormal": (
-        lambda: elasticity(cube(2, 5), clamped=None), {"scale": 2.0}, "not orthonormal",
+        lambda: elasticity(cube(2, 5), clamped=None),
+        {"scale": 2.0},
+        "not orthonormal",
     ),
-}  # fmt: skip
+}
 
 
 @every_formulation
@@ -237,3 +250,53 @@ def test_body_in_one_subdomain(formulation):
     give(linear)
     with raises(ConvergenceError, "two subdomains, at least"):
         linear.solve()
+
+
+def opposed_springs(share, component, components):
+    """Add springs to one copy of a dof, and subtract them from another: their sum is zero.
+
+    Args:
+        share: Stiffness of the springs, relative to the largest entry of K_i.
+        component: Component of the dofs that have springs.
+        components: Number of components of a node.
+    """
+
+    def change(K, dofs):
+        stiffness = share * np.abs(K[0]).max()
+        copies = {}
+        for i, of_subdomain in enumerate(dofs):
+            for row, dof in enumerate(of_subdomain):
+                if dof % components == component:
+                    copies.setdefault(dof, []).append((i, row))
+        for of_dof in copies.values():
+            if len(of_dof) > 1:
+                for sign, (i, row) in zip((1.0, -1.0), of_dof, strict=False):
+                    K[i][row, row] += sign * stiffness
+
+    return change
+
+
+@every_formulation
+@pytest.mark.parametrize("share", [1e-6, 1e-2, 1.0])
+@pytest.mark.parametrize("components", [1, 2])
+def test_subdomains_that_resist_the_null_space(components, share, formulation, torn_grid, feti):
+    """A Z = 0, but K_i Z ≠ 0: the primal form solves, and the dual one names it.
+
+    With two components the other translation has no springs: a part of the null space is resisted.
+    """
+    springs = opposed_springs(share, 0, components)
+    problem = torn_grid((3, 2), (3, 3), components=components, fixed=nowhere, change=springs)
+    A = problem.A
+    Z = np.linalg.qr(problem.modes)[0]
+    vectors = [problem.vector(z) for z in Z.T]
+    A.setNullSpace(PETSc.NullSpace().create(vectors=vectors, comm=COMM))
+    b = random_values(problem)
+    b -= Z @ (Z.T @ b)
+    ksp = feti(A, feti_formulation=formulation, ksp_rtol=RTOL)
+    reason, x = solve(ksp, problem, b)
+    message = ksp.getPythonContext().message
+    if formulation == "dual":
+        agree("Single subdomains resist the null space of A" in message, message)
+        return
+    agree(reason > 0, message)
+    equal(x, np.linalg.pinv(problem.matrix, rcond=1e-11) @ b, TOLERANCE)

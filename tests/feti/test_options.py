@@ -10,15 +10,19 @@ from petsc4py import PETSc
 
 import pytest
 from collective import COMM, agree, equal, raises, whole
-from problems import cube, elasticity, owned, torn
+from problems import cube, elasticity, owned, poisson, torn
+
+import dolfinx
+import ufl
 
 import dolfinx_feti
-from dolfinx_feti.feti.options import CHOICES, KINDS, FETIOptions, read_options
-from dolfinx_feti.problems.solvers import options_without_effect
+from dolfinx_feti import LinearProblem, NonlinearProblem
+from dolfinx_feti.feti.options import CHOICES, OPTION_TYPES, FETIOptions, read_options
+from dolfinx_feti.problems.solver_options import options_without_effect
 from dolfinx_feti.runtime.petsc_options import inserted, require_prefix, withheld
 
-NUMBERS = [name for name, kind in KINDS.items() if kind is int]
-SHARES = [name for name, kind in KINDS.items() if kind is float]
+NUMBERS = [name for name, kind in OPTION_TYPES.items() if kind is int]
+SHARES = [name for name, kind in OPTION_TYPES.items() if kind is float]
 
 
 def read(prefix="o_", **options):
@@ -46,7 +50,9 @@ def test_every_option_is_read(name, value):
     agree(options == dataclasses.replace(FETIOptions(), **{name: value}))
 
 
-COUNT, SHARE, BELOW_ONE = "a whole number ≥ 0", "a number between 0 and 1", "a number ≥ 0 and < 1"
+COUNT = "a whole number ≥ 0"
+SHARE = "a number between 0 and 1"
+BELOW_ONE = "a number ≥ 0 and < 1"
 
 #: Options, wrong values, and what they are to be.
 WRONG = [
@@ -100,7 +106,7 @@ def test_refused(options, message):
 OTHERS = {
     "pc_type": "none",
     **dict.fromkeys(("ksp_max_it", "snes_max_it", "snes_max_funcs"), "unlimited"),
-    **dict.fromkeys(("feti_dual_ksp_type", "feti_dual_ksp_rtol", "ksp_rtol", "snes_rtol"), "0.1"),
+    **dict.fromkeys(("feti_dual_ksp_rtol", "ksp_rtol", "snes_rtol"), "0.1"),
     "feti_local_mat_mumps_icntl_14": "0.1",
     "feti_local_pc_type": "0.1",
     "feti_dirichlet_pc_factor_mat_solver_type": "0.1",
@@ -126,7 +132,7 @@ def test_options_of_others_are_left_alone(name, value):
     ],
 )
 def test_ksp_alone(by, name, wrong, message, torn_grid, lifetime):
-    """Where PETSc turns the error into one of its own, ours is its cause."""
+    """If PETSc replaces the error by another, ours is its cause."""
     ksp = lifetime.own(PETSc.KSP().create(COMM))
     ksp.setOptionsPrefix("o_")
     ksp.setOperators(torn_grid((2, 2), (3, 3)).A)
@@ -208,3 +214,135 @@ def test_problems_share_the_command_line_and_no_options():
     agree([each.solver.getTolerances()[0] for each in (first, second)] == [1e-9, 1e-8])
     agree([each.solver.getOptionsPrefix() for each in (first, second)] == ["a_", "b_"])
     equal(whole(owned(first.u)), whole(owned(second.u)), 1e-6)
+
+
+# -- options that nothing reads, and arguments that nobody takes
+
+
+def messages(caplog):
+    """Warnings of the first process, on all."""
+    return COMM.bcast([record.getMessage() for record in caplog.records])
+
+
+def diffusion(*, nonlinear, **options):
+    body = poisson(cube(2, 5))
+    common = {"bcs": body.bcs, "petsc_options_prefix": "unread_", "petsc_options": options}
+    if not nonlinear:
+        return LinearProblem(body.a, body.L, subdomains=4, **common)
+    u = dolfinx.fem.Function(body.V)
+    return NonlinearProblem(ufl.action(body.a, u) - body.L, u, subdomains=4, **common)
+
+
+MISSPELT = {
+    "ksp_rtoll": "ksp_rtol",
+    "kps_rtol": "ksp_rtol",
+    "ksp_max_its": "ksp_max_it",
+    "ksp_monitr": "ksp_monitor",
+    "-ksp_rtol": "ksp_rtol",
+    "unread_ksp_rtol": "ksp_rtol",
+    "feti_dual_ksp_tpye": "feti_dual_ksp_type",
+    "snes_rtoll": "snes_rtol",
+}
+
+
+@pytest.mark.parametrize("way", ["argument", "command line"])
+@pytest.mark.parametrize("nonlinear", [False, True])
+@pytest.mark.parametrize("name", MISSPELT)
+def test_misspelt_options(name, nonlinear, way, caplog):
+    """Named with the nearest one, once, after the first solve; the database is left alone."""
+    if way == "command line" and name in ("-ksp_rtol", "unread_ksp_rtol"):
+        pytest.skip("on the command line the prefix is not put in front of it")
+    on_line = {name: "1e-3"} if way == "command line" else {}
+    given = {name: "1e-3"} if way == "argument" else {}
+    with inserted("unread_", on_line):
+        before = PETSc.Options().getAll()
+        problem = diffusion(nonlinear=nonlinear, ksp_rtol=1e-9, **given)
+        for _ in range(2):
+            problem.solve()
+        problem.create_linear_solver().destroy()
+        agree(PETSc.Options().getAll() == before)
+    (said,) = messages(caplog)
+    agree(f"-unread_{name} 1e-3: did you mean -unread_{MISSPELT[name]}?" in said, said)
+
+
+def test_option_unlike_all_others(caplog):
+    """Of the argument it is certainly this problem's; of the command line it may be another's."""
+    with inserted("unread_", {"other_thing": 1, "b_ksp_rtol": 1e-3}):
+        diffusion(nonlinear=False, colour="red").solve()
+    (said,) = messages(caplog)
+    agree("-unread_colour red: see docs/petsc_options.md" in said, said)
+    agree("other_thing" not in said and "b_ksp_rtol" not in said, said)
+
+
+def test_options_that_are_read(caplog, tmp_path):
+    """Monitors, views, tolerances, sub-solvers: no word about any of them."""
+    nothing = f"ascii:{COMM.bcast(str(tmp_path))}/out"
+    names = ("ksp_monitor", "ksp_view", "ksp_converged_reason", "ksp_view_solution")
+    given = dict.fromkeys(names, nothing)
+    given |= {"ksp_rtol": 1e-9, "ksp_atol": 1e-30, "ksp_max_it": 200}
+    given |= {"feti_type": "classical", "feti_formulation": "dual", "feti_dual_ksp_type": "cg"}
+    given |= {"feti_coarse_ksp_type": "preonly", "feti_coarse_q": "diagonal"}
+    given |= {"ksp_error_if_not_converged": True}
+    snes = dict.fromkeys(("snes_monitor", "snes_view", "snes_converged_reason"), nothing)
+    snes |= {"snes_rtol": 1e-9, "snes_max_it": 20, "snes_error_if_not_converged": True}
+    for nonlinear in (False, True):
+        diffusion(nonlinear=nonlinear, **given, **(snes if nonlinear else {})).solve()
+    agree(messages(caplog) == [], messages(caplog))
+
+
+WITHOUT_EFFECT = ["snes_mf", "snes_fd", "snes_lag_jacobian", "snes_stol", "snes_npc_side"]
+WITHOUT_EFFECT += ["ksp_initial_guess_nonzero", "ksp_norm_type", "ksp_divtol", "ksp_min_it"]
+
+
+@pytest.mark.parametrize("name", WITHOUT_EFFECT)
+def test_options_that_petsc_reads_in_vain(name, caplog):
+    value = {"snes_npc_side": "left", "ksp_norm_type": "none"}.get(name, 1)
+    diffusion(nonlinear=True, **{name: value}).solve()
+    (said,) = messages(caplog)
+    agree(f"Without effect: -unread_{name}" in said, said)
+
+
+@pytest.mark.parametrize("prefix", ["", "o_"])
+def test_misspelt_option_of_a_solver_alone(prefix, caplog, torn_grid, lifetime):
+    """A KSP of the user's own says so after its first solve, with a prefix and without."""
+    A = torn_grid((2, 2), (3, 3)).A
+    given = {"ksp_rtoll": "1e-3", "feti_dual_ksp_maxit": 7, "ksp_rtol": 1e-6}
+    with inserted(prefix, {**given, "feti_type": "classical"}):
+        ksp = lifetime.own(PETSc.KSP().create(COMM))
+        ksp.setOptionsPrefix(prefix)
+        ksp.setOperators(A)
+        ksp.setType(PETSc.KSP.Type.PYTHON)
+        ksp.setPythonContext(dolfinx_feti.FETI())
+        ksp.setFromOptions()
+        x, b = (lifetime.own(v) for v in A.createVecs())
+        b.set(1.0)
+        for _ in range(2):
+            ksp.solve(b, x)
+    said = [text for text in messages(caplog) if "nothing has read" in text]
+    agree(len(said) == 1, said)
+    agree(f"-{prefix}ksp_rtoll 1e-3: did you mean -{prefix}ksp_rtol?" in said[0], said)
+    agree(f"did you mean -{prefix}feti_dual_ksp_max_it?" in said[0], said)
+    agree(f"-{prefix}feti_type" not in said[0] and f"-{prefix}ksp_rtol " not in said[0], said)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "near"),
+    [
+        ("subdomain", "subdomains"),
+        ("petsc_option", "petsc_options"),
+        ("petsc_options_prefx", "petsc_options_prefix"),
+        ("bc", "bcs"),
+        ("scalar", "scalars"),
+        ("jit_option", "jit_options"),
+    ],
+)
+@pytest.mark.parametrize("nonlinear", [False, True])
+def test_misspelt_arguments(wrong, near, nonlinear):
+    body = poisson(cube(2, 2))
+    u = dolfinx.fem.Function(body.V)
+    made = NonlinearProblem if nonlinear else LinearProblem
+    forms = (ufl.action(body.a, u) - body.L, u) if nonlinear else (body.a, body.L)
+    with raises(TypeError, rf"{made.__name__}\(\) got .* '{wrong}'. Did you mean '{near}'\?"):
+        made(*forms, **{wrong: None})
+    with raises(TypeError, "got an unexpected keyword argument 'colour'$"):
+        made(*forms, colour="red")

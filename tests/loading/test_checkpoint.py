@@ -38,7 +38,7 @@ class Fields:
         self.functions = [dolfinx.fem.Function(V), dolfinx.fem.Function(Q)]
 
     def set(self, t: float) -> list[np.ndarray]:
-        """Give the functions known values, and return them."""
+        """Set the functions to known values and return them."""
         u, p = self.functions
         u.interpolate(lambda x: np.stack([x[0] ** 2, t + x[1] * x[2], 1 - t * x[2]]))
         p.interpolate(lambda x: t - x[0] + 2 * x[1])
@@ -118,7 +118,7 @@ def test_where_a_process_has_no_cell(tmp_path):
     [
         ({"n": 3}, {}, "cells are 48 there and 162 here; vertices are 27 there and 64 here"),
         ({"degree": 1}, {}, r"elements are .*, 2, .* there and .*, 1, .* here"),
-        ({"scale": 1 + 1e-6}, {}, "the extent of the mesh or the order of its cells are others"),
+        ({"scale": 1 + 1e-6}, {}, "the extent of the mesh or the order of its cells differs"),
         ({}, {"kappa": 1e5}, "kappa is 1000.0 there and 100000.0 here"),
         (
             {},
@@ -131,7 +131,8 @@ def test_where_a_process_has_no_cell(tmp_path):
 def test_another_problem(tmp_path, state, mesh, parameters, match):
     """Folder and functions stay as they are."""
     written(tmp_path, state, 1.0)
-    before, other = content(tmp_path), Fields(**mesh)
+    before = content(tmp_path)
+    other = Fields(**mesh)
     values = other.set(5.0)
     with raises(ValueError, f"is one of another problem: {match}.*Restart .*, or name another"):
         opened(tmp_path, **parameters).read(other.functions)
@@ -153,7 +154,7 @@ def test_cells_in_another_order(tmp_path):
     checkpoint.write([one], {})
     checkpoint.read([same])
     for wrong in (other, turned):
-        with raises(ValueError, "order of its cells are others"):
+        with raises(ValueError, "order of its cells differs"):
             checkpoint.read([wrong])
 
 
@@ -200,11 +201,13 @@ def test_damaged_states(tmp_path, state, damage):
         if damage == "other":
             np.savez(path, u=np.zeros(3))
             return
-        path.write_bytes({
-            "empty": b"",
-            "short": old[:half],
-            "flipped": old[:half] + bytes([old[half] ^ 1]) + old[half + 1 :],
-        }[damage])  # fmt: skip
+        path.write_bytes(
+            {
+                "empty": b"",
+                "short": old[:half],
+                "flipped": old[:half] + bytes([old[half] ^ 1]) + old[half + 1 :],
+            }[damage]
+        )
 
     on_first(spoil)
     with raises(ValueError, "state.npz is damaged, or no checkpoint of this version: name another"):
@@ -241,7 +244,8 @@ def test_full_disk(tmp_path):
 @pytest.mark.processes(2, 3)
 def test_memory_of_the_first_process(tmp_path):
     """It holds an array of another process at a time, and not the past of all."""
-    state, checkpoint = Fields(8), opened(tmp_path, restart=False)
+    state = Fields(8)
+    checkpoint = opened(tmp_path, restart=False)
     past = [state.set(float(t)) for t in range(50)]
     checkpoint.write(state.functions, {"t": 0.0})
     tracemalloc.start()
@@ -263,7 +267,9 @@ class Killed(BaseException):
 def test_killed_at_any_call(tmp_path, state, monkeypatch, place, name):
     """Before each of the calls that change the folder: the old state is there or the new one."""
     written(tmp_path / "first", state, 1.0, 2.0)
-    call, seen, at = getattr(place, name), 0, 0
+    call = getattr(place, name)
+    seen = 0
+    at = 0
 
     def kill(*args, **options):
         nonlocal seen
@@ -272,7 +278,8 @@ def test_killed_at_any_call(tmp_path, state, monkeypatch, place, name):
         return call(*args, **options)
 
     while seen >= at:  # until all calls are let through
-        folder, seen = tmp_path / f"{at}", 0
+        folder = tmp_path / f"{at}"
+        seen = 0
         shutil.copytree(tmp_path / "first", folder)
         checkpoint = opened(folder)
         state.set(3.0)

@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Random sequences of all that a path can have, beside one scalar that is integrated by hand.
 
-Memory, inertia, dashpots, a moving base, pressure, step lengths; steps that are refused, interrupts
-by exceptions and signals, and restarts on one process or on all of them.
+Memory, inertia, dashpots, a moving base, pressure, a plate, step lengths; steps that are refused,
+interrupts by exceptions and signals, and restarts on one process or on all of them.
 """
 
 from __future__ import annotations
@@ -56,6 +56,7 @@ LAWS = st.builds(
     viscosity=st.sampled_from([0.0, 0.3]),
     base=st.sampled_from([0.0, 0.1]),
     pressure=st.sampled_from([0.0, 0.4, -0.2]),
+    stop=st.sampled_from([None, None, 0.002, 0.01]),
 )
 EVENTS = st.dictionaries(
     st.integers(0, 7),
@@ -72,23 +73,30 @@ GAPS = st.lists(st.sampled_from([0.02, 0.05, 0.07, 0.1]), min_size=1, max_size=3
 
 
 @cache
-def block(alone: bool, inertia: float | None) -> Block:
+def block(alone: bool, inertia: float | None, stopped: bool) -> Block:
     """Return the block, on each process alone or on all, whose monitor calls the present event."""
-    made = Block(MPI.COMM_SELF if alone else COMM, inertia)
+    made = Block(MPI.COMM_SELF if alone else COMM, inertia, stopped=stopped)
     made.problem.solver.setMonitor(lambda snes, it, norm: MONITOR[0](it))
     return made
 
 
-MONITOR: list[Callable[[int], object]] = [lambda it: None]
+def no_monitor(_it: int) -> None:
+    """Ignore a Newton step."""
+
+
+MONITOR: list[Callable[[int], object]] = [no_monitor]
 
 
 class Run:
     """A sequence on the way."""
 
     def __init__(self, law: Law, targets: list[float], first: float, growth: float) -> None:
-        self.law, self.targets, self.first, self.growth = law, targets, first, growth
+        self.law = law
+        self.targets = targets
+        self.first = first
+        self.growth = growth
         self.folder = Path(COMM.bcast(tempfile.mkdtemp()))
-        self.block = block(False, law.inertia)
+        self.block = block(False, law.inertia, law.stop is not None)
         self.block.reset(law)
         self.scalar = Scalar(law)
         self.known = {0.0: copy.deepcopy(self.scalar)}  # by time
@@ -99,7 +107,9 @@ class Run:
 
     def matches(self) -> None:
         """Require state and memory of the scalar, at its time."""
-        at, scalar, block = self.scalar.t, self.scalar, self.block
+        at = self.scalar.t
+        scalar = self.scalar
+        block = self.block
         least, most = block.face()
         small(max(abs(least - scalar.u[1]), abs(most - scalar.u[1])), TOLERANCE)
         small(abs(float(block.g.value) - self.law.g(at)), 0.0)
@@ -130,14 +140,16 @@ class Run:
         return comm.rank == comm.size - 1
 
     def go(self, event: Event | None, attempt: int) -> bool:
-        """Go on until an event ends it; return whether it is at the end."""
-        seen = [0]
+        """Follow the path until an event ends it; return True if it reached its end."""
+        solves = 0
 
         def monitor(it: int) -> None:
-            seen[0] += it == 0
-            if event is None or seen[0] != 1 + attempt or it != event.newton or not self.acts():
+            nonlocal solves
+            if it == 0:
+                solves += 1
+            if event is None or solves != 1 + attempt or it != event.newton or not self.acts():
                 return
-            seen[0] += 1  # once
+            solves += 1  # once
             if event.kind == "refuse":
                 raise ConvergenceError("refused")
             if event.kind == "interrupt":
@@ -153,19 +165,23 @@ class Run:
         MONITOR[0] = monitor
         try:
             self.block.follow(
-                self.law, self.targets if restart else left, self.first,
-                start=0.0 if restart else start, growth=self.growth, checkpoint=self.checkpoint,
+                self.law,
+                self.targets if restart else left,
+                self.first,
+                start=0.0 if restart else start,
+                growth=self.growth,
+                checkpoint=self.checkpoint,
                 on_step=self.on_step(event),
-            )  # fmt: skip
+            )
         except (KeyboardInterrupt, SystemExit, StopError):
             return False
         finally:
-            MONITOR[0] = lambda it: None
+            MONITOR[0] = no_monitor
             self.matches()
         return True
 
     def restart(self, alone: bool) -> None:
-        """Begin anew from the checkpoint, if there is one, with nonsense in memory."""
+        """Start again from the checkpoint, if any, with meaningless values in memory."""
         COMM.barrier()
         old = self.folder / "all" if self.block.comm == COMM else self.folder / "alone 0"
         new = self.folder / (f"alone {COMM.rank}" if alone else "all")
@@ -174,7 +190,7 @@ class Run:
             new.mkdir(exist_ok=True)
             shutil.copy(old / "state.npz", new / "state.npz")
         COMM.barrier()
-        self.block = block(alone, self.law.inertia)
+        self.block = block(alone, self.law.inertia, self.law.stop is not None)
         self.block.reset(self.law, 0.37 if found else 0.0)
         self.block.g.value = self.block.p.value = 0.0
         self.block.dt.value = 0.0
@@ -199,8 +215,13 @@ class Run:
     growth=1.0,
     events={0: Event("interrupt", 0, False, True), 1: Event("signal", 1, True, True)},
 )
-@given(law=LAWS, gaps=GAPS, first=st.sampled_from([0.03, 0.05, 0.1]),
-       growth=st.sampled_from([1.0, 1.5]), events=EVENTS)  # fmt: skip
+@given(
+    law=LAWS,
+    gaps=GAPS,
+    first=st.sampled_from([0.03, 0.05, 0.1]),
+    growth=st.sampled_from([1.0, 1.5]),
+    events=EVENTS,
+)
 def test_sequence(law, gaps, first, growth, events):
     """Each step, and each state that an interrupt or a restart leaves, is that of the scalar."""
     targets = [round(t, 12) for t in np.cumsum(gaps)]
@@ -248,7 +269,9 @@ def test_order(law, order):
     """
     errors = []
     for n in (40, 80, 160):
-        scalar, found, work = Scalar(law), [], [0.0]
+        scalar = Scalar(law)
+        found = []
+        work = [0.0]
         lengths = np.tile([1.4, 0.6, 1.0], n)[:n]
         lengths *= 0.8 / lengths.sum()
         scalar.start(lengths[0])
@@ -269,12 +292,14 @@ def test_order(law, order):
 def test_killed_and_restarted(tmp_path, kind):
     """SIGKILL at random moments, restarts on 2, 3 and 1 processes, with all that there is."""
     finish(start(kind, tmp_path / "whole"))
-    random, killed = np.random.default_rng(len(kind)), 0
+    random = np.random.default_rng(len(kind))
+    killed = 0
     for n in (1, 2, 3):
         words = (kind, tmp_path / "parts", random.uniform(1.5, 15.0), random.integers(n))
         process = start(*words, processes=n)
         process.communicate(timeout=120)
-        killed += process.returncode != 0
+        if process.returncode != 0:
+            killed += 1
     finish(start(kind, tmp_path / "parts"))
     whole, parts = (np.load(tmp_path / f"{name}.npz") for name in ("whole", "parts"))
     assert killed == 3

@@ -9,7 +9,7 @@ import itertools
 import json
 import math
 import re
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import pytest
@@ -19,8 +19,11 @@ from played import OWN, ROUNDING, STEP, truth
 from walls import tube, wall
 
 from dolfinx_feti import ConvergenceError, loads
+from dolfinx_feti.errors import IndefiniteTangentError, LinearSolverError, ToolCrossedError
+from dolfinx_feti.loading.load_step import LoadStep, read_step
 from dolfinx_feti.loading.load_steps import follow_load
-from dolfinx_feti.loading.steps import LoadStep, Steps, load_step
+from dolfinx_feti.loading.step_length import StepLengthRule
+from dolfinx_feti.loading.steps import Steps
 
 LAST = COMM.rank == COMM.size - 1
 
@@ -85,6 +88,26 @@ def test_increments_grow_after_quick_steps(played):
     agree(np.all(found[1:] <= 2 * found[:-1] * (1 + ROUNDING)), found)
 
 
+class Doubling(StepLengthRule[LoadStep]):
+    """A rule of a script: each step is twice as long as the one before."""
+
+    def adapt(self, step, *, n_updates):
+        self.present = 2.0 * abs(step.increment)
+
+
+@dataclass(frozen=True)
+class DoubledSteps(Steps):
+    def length_rule(self):
+        return Doubling(self.first, self.least)
+
+
+def test_a_further_rule_is_a_class_and_a_line(played):
+    """Settings choose it; steps that are not quick do not matter to it."""
+    problem = played(cost=lambda increment: 99)
+    steps = problem.follow([7.0], DoubledSteps(first=1.0, least=1.0, quick=3))
+    equal(increments(steps), [1.0, 2.0, 4.0], ROUNDING)
+
+
 def test_increment_is_halved_until_it_succeeds(played):
     """Each new attempt begins in the last equilibrium, with a new preconditioner."""
     problem = played(fails=lambda before, load: load - before > 0.3, cost=lambda increment: 9)
@@ -92,7 +115,7 @@ def test_increment_is_halved_until_it_succeeds(played):
     equal([a.load for a in problem.attempts[:4]], [1.0, 0.5, 0.25, 0.5], ROUNDING)
     agree([step.failures for step in steps] == [2] + 15 * [0])
     agree([len(step.lost) for step in steps] == [18] + 15 * [0])
-    read = load_step(json.loads(json.dumps(asdict(steps[0]))), LoadStep)  # as from a checkpoint
+    read = read_step(json.loads(json.dumps(asdict(steps[0]))), LoadStep)  # as from a checkpoint
     agree(repr(read) == repr(steps[0]))
     agree([len(step.all_steps) for step in steps] == [27] + 15 * [9])
     for attempt in problem.attempts[:3]:
@@ -122,7 +145,8 @@ def test_increment_does_not_grow_in_a_step_that_failed_first(played):
 def test_least_increment(played, start, target, first, least, last):
     """State, load and tolerances are those of the last equilibrium; the message has a remedy."""
     problem = played(start=start, fails=lambda before, load: abs(load - start) > last - start)
-    before, seen = problem.solver.getTolerances(), [start]
+    before = problem.solver.getTolerances()
+    seen = [start]
     with raises(
         ConvergenceError,
         rf"beyond a load of {re.escape(f'{last:g}')}: an increment of .* {least:g} is the least "
@@ -142,19 +166,25 @@ def test_least_increment(played, start, target, first, least, last):
 
 
 @pytest.mark.parametrize(
-    ("said", "match"),
+    ("error", "match"),
     [
-        ("The tangent is indefinite.", "limit point .* Prescribe a displacement or a volume"),
-        ("It fails: the linear solver: add conditions.", "add conditions.$"),
+        pytest.param(
+            IndefiniteTangentError("It fails."),
+            "limit point .* Prescribe a displacement or a volume",
+            id="indefinite",
+        ),
+        pytest.param(LinearSolverError("Add conditions."), "Add conditions.$", id="linear-solver"),
+        pytest.param(ToolCrossedError("Use small steps."), "Use small steps.$", id="tool"),
+        pytest.param(ConvergenceError("It fails."), "It fails. Allow smaller incr", id="other"),
     ],
 )
-def test_remedy_fits_the_failure(played, said, match):
+def test_remedy_fits_the_failure(played, error, match):
     """At a limit point no increment helps, and an unsupported body has its advice already."""
 
     def fails(before: float, load: float) -> bool:
         if load > 0.5:
             problem.u.x.array[:] = math.nan
-            raise ConvergenceError(said)
+            raise error
         return False
 
     problem = played(fails=fails)
@@ -242,7 +272,8 @@ def test_bad_loads(played, start, targets, match):
     """On one process alone: all refuse them, before anything has moved."""
     problem = played()
     if not LAST:
-        start, targets = 0.0, [1.0]
+        start = 0.0
+        targets = [1.0]
     with raises(ValueError, match):
         follow_load(problem, lambda _: None, targets, Steps(first=0.5, least=0.5), start=start)
     agree(not problem.attempts)
@@ -261,9 +292,13 @@ def test_call_that_fails_on_one_process(played, where):
 
     with raises(ZeroDivisionError, "not this load"):
         follow_load(
-            problem, lambda load: call("set_load", load), [1.0], Steps(first=0.2, least=0.1),
-            state=[problem.u, problem.p], on_step=lambda step: call("on_step", step.load),
-        )  # fmt: skip
+            problem,
+            lambda load: call("set_load", load),
+            [1.0],
+            Steps(first=0.2, least=0.1),
+            state=[problem.u, problem.p],
+            on_step=lambda step: call("on_step", step.load),
+        )
     last = problem.attempts[-1].load
     agree(len(problem.attempts) == {"set_load": 1, "on_step": 2}[where])
     agree(problem.load == last and problem.solver.getTolerances()[0] == OWN)

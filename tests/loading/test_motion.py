@@ -44,7 +44,8 @@ class Swinging:
     def __init__(self, *, rho: float = 0.8) -> None:
         mesh = cube(3, 2)
         V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
-        self.u, v = dolfinx.fem.Function(V), ufl.TestFunction(V)
+        self.u = dolfinx.fem.Function(V)
+        v = ufl.TestFunction(V)
         self.t = dolfinx.fem.Constant(mesh, 0.0)
         dx = ufl.dx(metadata={"quadrature_degree": 4})
         self.elastic = soft(self.u) * dx
@@ -52,16 +53,26 @@ class Swinging:
         self.motion = Motion(self.u, DENSITY, rho=rho)
         energy = self.elastic - ufl.action(self.forces, self.u) + self.motion.inertia
         self.problem = NonlinearProblem(
-            energy, self.u, bcs=[dirichlet(V, left)], subdomains=4, quadrature_degree=4,
+            energy,
+            self.u,
+            bcs=[dirichlet(V, left)],
+            subdomains=4,
+            quadrature_degree=4,
             petsc_options={"snes_rtol": 1e-11, "ksp_rtol": 1e-10},
-        )  # fmt: skip
+        )
         self.motion.velocity.interpolate(lambda x: 100.0 * np.stack([0 * x[0], x[0], 0 * x[0]]))
 
     def follow(self, steps: TimeSteps, *, start: float = 0.0):
         return follow_time(
-            self.problem, self.motion, lambda t: setattr(self.t, "value", t - start), [start + END],
-            steps, start=start, energy=self.elastic, forces=self.forces,
-        )  # fmt: skip
+            self.problem,
+            self.motion,
+            lambda t: setattr(self.t, "value", t - start),
+            [start + END],
+            steps,
+            start=start,
+            energy=self.elastic,
+            forces=self.forces,
+        )
 
 
 def moving_wall(
@@ -69,14 +80,20 @@ def moving_wall(
 ) -> tuple[Wall, Motion, NonlinearProblem]:
     """The quarter of a tube with inertia, and dashpots in all of it."""
     body = wall(tube(quarter=True, around=3, along=1), quarter=True, degree=degree)
-    u, motion = body.u, Motion(body.u, DENSITY, rho=rho)
+    u = body.u
+    motion = Motion(body.u, DENSITY, rho=rho)
     v = ufl.TestFunction(u.function_space)
     extra = ufl.derivative(motion.inertia, u, v)
     extra += dashpot * ufl.inner(motion.rate, v) * ufl.dx(u.function_space.mesh)
     problem = NonlinearProblem(
-        [body.F_u + extra, body.F_p], u, bcs=body.bcs, J=body.J + ufl.derivative(extra, u),
-        condense=body.p, subdomains=4, petsc_options={"snes_rtol": 1e-12, "ksp_rtol": 1e-10},
-    )  # fmt: skip
+        [body.F_u + extra, body.F_p],
+        u,
+        bcs=body.bcs,
+        J=body.J + ufl.derivative(extra, u),
+        condense=body.p,
+        subdomains=4,
+        petsc_options={"snes_rtol": 1e-12, "ksp_rtol": 1e-10},
+    )
     return body, motion, problem
 
 
@@ -87,14 +104,21 @@ def fixed(dt: float) -> TimeSteps:
 @pytest.mark.processes(1, 2)
 def test_pulse():
     """In the quarter of a tube, with dashpots: each equation, assembled by dolfinx alone."""
-    dt, dashpot, rho = 5e-5, 5e-3, 0.8
+    dt = 5e-5
+    dashpot = 5e-3
+    rho = 0.8
     body, motion, problem = moving_wall(2, rho, dashpot)
-    u, rate, ü, a = body.u, motion.velocity, motion.acceleration, motion.filtered
+    u = body.u
+    rate = motion.velocity
+    ü = motion.acceleration
+    a = motion.filtered
     v = ufl.TestFunction(u.function_space)
     balance = body.F_u + ufl.inner(DENSITY * ü + dashpot * rate, v) * ufl.dx
     p_scale = ufl.inner(1.0, ufl.TestFunction(body.p.function_space)) * ufl.dx
-    α_m, α_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
-    γ, β = 0.5 - α_m + α_f, 0.25 * (1 - α_m + α_f) ** 2
+    α_m = (2 * rho - 1) / (rho + 1)
+    α_f = rho / (rho + 1)
+    γ = 0.5 - α_m + α_f
+    β = 0.25 * (1 - α_m + α_f) ** 2
     states = [[f.x.array.copy() for f in (u, rate, ü, a)]]
 
     def look(step: TimeStep) -> None:
@@ -117,7 +141,8 @@ def test_pulse():
 @pytest.mark.parametrize("rho", [1.0, 0.0])
 def test_second_order_and_balance(rho):
     """Halving Δt divides errors by four, and what lacks in the balance of energies, too."""
-    found, lost = [], []
+    found = []
+    lost = []
     for n in (8, 16, 32):
         block = Swinging(rho=rho)
         begun = block.motion.kinetic_energy()
@@ -141,7 +166,7 @@ def test_initial_acceleration():
     u, energy = body(2, 2)
     motion = Motion(u, DENSITY)
     energy += DENSITY * 9810.0 * u[2] * ufl.dx + motion.inertia
-    motion.start(NonlinearProblem(energy, u, quadrature_degree=4, subdomains=4).F, [])
+    motion.balance(NonlinearProblem(energy, u, quadrature_degree=4, subdomains=4).F, [])
     uniform(motion.acceleration.x.array.reshape(-1, 3) / 9810.0, [0.0, 0.0, -1.0], 1e-10)
 
 
@@ -153,18 +178,21 @@ def test_free_flight(eta, tolerance):
     The dashpot takes what is lacking of ½ ρ v². With a mass no subdomain has a kernel.
     """
     u, energy = body(2, 1)
-    motion, v = Motion(u, DENSITY), ufl.TestFunction(u.function_space)
+    motion = Motion(u, DENSITY)
+    v = ufl.TestFunction(u.function_space)
     residual = ufl.derivative(energy + motion.inertia, u, v)
     residual += eta * ufl.inner(motion.rate, v) * ufl.dx(u.function_space.mesh)
     problem = NonlinearProblem(residual, u, quadrature_degree=2, subdomains=4)
-    start, end = np.array([3.0, -2.0, 0.0]), 1e-3
+    start = np.array([3.0, -2.0, 0.0])
+    end = 1e-3
     motion.velocity.interpolate(lambda x: np.outer(start, np.ones_like(x[0])))
     steps = follow_time(problem, motion, lambda t: None, [end], fixed(2.5e-5))
     left = math.exp(-eta * end / DENSITY)
     way = end if eta == 0.0 else DENSITY / eta * (1.0 - left)
     uniform(u.x.array.reshape(-1, 3) / way, start, tolerance)
     uniform(motion.velocity.x.array.reshape(-1, 3), left * start, 3.0 * tolerance)
-    taken, begun = sum(step.dissipated for step in steps), DENSITY / 2.0 * start @ start
+    taken = sum(step.dissipated for step in steps)
+    begun = DENSITY / 2.0 * start @ start
     small(taken / begun - (1.0 - left**2), tolerance)
     small((taken + steps[-1].kinetic) / begun - 1.0, tolerance)
 
@@ -175,18 +203,23 @@ def test_dashpots_with_one_last_displacement(inertia):
     ends = []
     for viscosities in ([0.5], [0.2, 0.3]):
         u, energy = body(2, 1)
-        V, mesh = u.function_space, u.function_space.mesh
-        last, push = dolfinx.fem.Function(V), dolfinx.fem.Constant(mesh, 0.0)
+        V = u.function_space
+        mesh = u.function_space.mesh
+        last = dolfinx.fem.Function(V)
+        push = dolfinx.fem.Constant(mesh, 0.0)
         motion = Motion(u, 1e-3)
         energy -= push * u[0] * ufl.dx
         for eta in viscosities:
             dt = dolfinx.fem.Constant(mesh, 0.1)
             energy += supports.dashpot_energy(eta, u, last, dt, ufl.ds(mesh), "all")
         problem = NonlinearProblem(
-            energy + motion.inertia if inertia else energy, u, bcs=[dirichlet(V, left)],
-            quadrature_degree=2, subdomains=2,
+            energy + motion.inertia if inertia else energy,
+            u,
+            bcs=[dirichlet(V, left)],
+            quadrature_degree=2,
+            subdomains=2,
             petsc_options={"snes_rtol": 1e-12, "ksp_rtol": 1e-10},
-        )  # fmt: skip
+        )
 
         def set_time(t: float, push=push) -> None:
             push.value = t
@@ -204,7 +237,8 @@ def test_dashpots_with_one_last_displacement(inertia):
 @pytest.mark.processes(1, 2)
 def test_adapted_steps():
     """Each keeps its tolerance, lengths vary, and do not depend on the rounding of the time."""
-    tolerance, first = 2e-5, END / 2
+    tolerance = 2e-5
+    first = END / 2
     lengths = TimeSteps(first=first, least=END / 512, longest=END, tolerance=tolerance)
     paths = [Swinging().follow(lengths, start=share * END) for share in (0.0, 0.3, 1.7)]
     for steps in paths:
@@ -226,15 +260,20 @@ def test_no_step_is_short_enough():
 
 def test_restart(tmp_path):
     """With a condensed pressure, a run that goes on has the steps of one run, and its end."""
-    ends, dt = [], 5e-5
+    ends = []
+    dt = 5e-5
     for legs in ([4], [2, 4, 4]):  # the last one has nothing left to do
         for i, end in enumerate(legs):
             body, motion, problem = moving_wall(1)
             checkpoint = Checkpoint(tmp_path / f"{len(legs)}", COMM, restart=i > 0)
             found = follow_time(
-                problem, motion, lambda t, load=body.load: setattr(load, "value", 5.0 * t / dt),
-                [n * dt for n in range(1, end + 1)], fixed(dt), checkpoint=checkpoint,
-            )  # fmt: skip
+                problem,
+                motion,
+                lambda t, load=body.load: setattr(load, "value", 5.0 * t / dt),
+                [n * dt for n in range(1, end + 1)],
+                fixed(dt),
+                checkpoint=checkpoint,
+            )
         agree([round(step.load / dt) for step in found] == [1, 2, 3, 4], found)
         fields = body.u, body.p, motion.velocity, motion.acceleration
         begun = [step.history[0].residual for step in found]

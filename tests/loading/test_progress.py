@@ -25,7 +25,9 @@ class Terminal(io.StringIO):
 
     def __init__(self, *, there: bool = True, error: Exception | None = None) -> None:
         super().__init__()
-        self.there, self.error, self.tried = there, error, 0
+        self.there = there
+        self.error = error
+        self.tried = 0
 
     def isatty(self) -> bool:
         return self.there
@@ -39,7 +41,7 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def open_terminal(monkeypatch) -> Callable[..., Terminal]:
-    """Give each process a terminal as stderr, and let no time pass, as a busy machine would."""
+    """Replace stderr of each process by a terminal, and stop the clock, as on a busy machine."""
     clock = SimpleNamespace(perf_counter=lambda: 0.0)
     monkeypatch.setattr("dolfinx_feti.loading.stepper.time", clock)
     monkeypatch.setenv("COLUMNS", "80")
@@ -80,8 +82,9 @@ def test_bar_on_the_first_process(played, terminal):
     played(cost=lambda increment: 2).follow([3.0, 1.0], steps, unloading=True, unit="mmHg")
     agree(COMM.rank == 0 or terminal.getvalue() == "")
     said = COMM.bcast(shown(terminal))
-    last = {line.split("%")[0] + line.split("mmHg")[0].split("%")[1].split()[-3]: line
-            for line in said}  # fmt: skip
+    last = {
+        line.split("%")[0] + line.split("mmHg")[0].split("%")[1].split()[-3]: line for line in said
+    }
     agree([line.split("%")[0].strip() for line in last.values()] == ["0", "20", "40", "60", "80"])
     agree(all("Newton 1  ‖r‖ = 1.0e-01" in line for line in last.values()), last)
     agree("3 → 2 of 1 mmHg" in list(last.values())[3], last)
@@ -101,7 +104,8 @@ def test_bar_goes_when_the_way_ends(played, terminal):
 
 def test_one_monitor_however_many_loads(played, terminal):
     """The user's own stays, too; each load has its own bar."""
-    problem, seen = played(), []
+    problem = played()
+    seen = []
     problem.solver.setMonitor(lambda snes, its, norm: seen.append(its))
     for load in (1.0, 2.0, 3.0):
         problem.follow([load], Steps(first=1.0, least=1.0))
@@ -144,7 +148,7 @@ def test_terminal_of_the_first_process(error, played, open_terminal):
 
 
 def test_a_line_for_each_load_step(played, open_terminal, caplog):
-    """On the first process; a failed attempt has a line of its own."""
+    """On the first process; a failed attempt has a separate line."""
     caplog.set_level("INFO", logger="dolfinx_feti")
     problem = played(
         cost=lambda increment: 2, fails=lambda before, load: before == 0.5 and load == 1.0

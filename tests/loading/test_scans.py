@@ -19,9 +19,9 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import ConvergenceError, kinematics, loads, materials
+from dolfinx_feti.errors import InadmissibleStartError
 from dolfinx_feti.fem.nodes import Nodes
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps, follow_load, prestress, unload
-from dolfinx_feti.loading.load_steps import INADMISSIBLE
 from dolfinx_feti.output import cell_values
 
 PAGE = Path(__file__).parents[2] / "docs/prestress.md"
@@ -32,7 +32,7 @@ both = pytest.mark.parametrize("prestressed", [True, False])
 
 
 def program() -> list[str]:
-    """Return the blocks of Python of the page's section: the energy, the solves."""
+    """Return the blocks of Python of the page's section: wall, energy, problem, solves."""
     section = PAGE.read_text(encoding="utf-8").partition("\n## Prestress")[2]
     return re.findall(r"^```python\n(.*?)^```", section.partition("\n## ")[0], re.M | re.S)
 
@@ -44,8 +44,12 @@ class Scan:
         self.mesh = mesh = tube(quarter=True, around=8, along=1, length=0.2)
         V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,)))
         Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
-        u, p = dolfinx.fem.Function(V), dolfinx.fem.Function(Q)
-        self.u, self.p, self.prestressed, self.length = u, p, prestressed, length
+        u = dolfinx.fem.Function(V)
+        p = dolfinx.fem.Function(Q)
+        self.u = u
+        self.p = p
+        self.prestressed = prestressed
+        self.length = length
         self.fibres = a1, a2 = [fibres(mesh, sign) for sign in (1.0, -1.0)]
 
         def psi(C, J, *a):
@@ -53,11 +57,17 @@ class Scan:
             return elastic + materials.perturbed_lagrangian(J, p, kappa=1000.0)
 
         self.names: dict[str, Any] = globals() | {
-            "mesh": mesh, "u": u, "p": p, "a1": a1, "a2": a2, "psi": psi,
-            "set_load": self.set_load, "increments": INCREMENTS,
-        }  # fmt: skip
+            "mesh": mesh,
+            "u": u,
+            "p": p,
+            "a1": a1,
+            "a2": a2,
+            "psi": psi,
+            "set_load": self.set_load,
+            "increments": INCREMENTS,
+        }
         if prestressed:
-            exec(program()[0], self.names)
+            exec(program()[1], self.names)
             self.F, energy, self.G = (self.names[name] for name in ("F", "energy", "G"))
         else:
             self.F = kinematics.deformation_gradient(u)
@@ -66,7 +76,8 @@ class Scan:
         potential = energy * ufl.dx(metadata={"quadrature_degree": 2})
         ds = lumen_measure(mesh)(LUMEN, metadata={"quadrature_degree": 4})
         body = under_pressure(u, p, symmetric(V), potential, ds, "symmetric")
-        self.load, self.problem = body.load, body.problem(4)
+        self.load = body.load
+        self.problem = body.problem(4)
         self.names["problem"] = self.problem
         mesh.geometry.x[:] *= length
         self.nodes = Nodes(mesh)
@@ -77,9 +88,11 @@ class Scan:
     def find(self, *targets: float, steps: Steps = STEPS, **options: object) -> list[LoadStep]:
         """Prestress the image, or unload it."""
         given = self.problem, self.set_load, targets, steps
-        return prestress(*given, **{"G": self.G} | options) if self.prestressed else unload(
-            *given, **options
-        )  # fmt: skip
+        return (
+            prestress(*given, **{"G": self.G} | options)
+            if self.prestressed
+            else unload(*given, **options)
+        )
 
     def found(self) -> np.ndarray:
         """G, or where the nodes are without load."""
@@ -117,7 +130,8 @@ class Scan:
 @pytest.mark.processes(1, 2)
 def test_image_in_balance():
     """It stays, its hoop stress is p r/h in the mean, and like that of the unloaded wall."""
-    scan, unloaded = Scan(prestressed=True), Scan(prestressed=False)
+    scan = Scan(prestressed=True)
+    unloaded = Scan(prestressed=False)
     scan.find(80.0)
     agree(not scan.u.x.array.any())
     scan.problem.solve()
@@ -136,7 +150,7 @@ def test_image_in_balance():
 def test_lines_of_the_page():
     """They lead to 120 mmHg."""
     scan = Scan(prestressed=True)
-    exec(program()[1], scan.names)
+    exec(program()[3], scan.names)
     agree(float(scan.load.value) == loads.mmhg(120.0) and scan.moved() > 0.03)
 
 
@@ -169,8 +183,10 @@ def cost(steps: list[LoadStep]) -> tuple[int, int]:
 
 def test_fibres_follow():
     """F A has the direction of the image's fibre in each cell, and A is a unit vector."""
-    scan, moves = Scan(prestressed=False), []
-    a, nodes = scan.fibres[0], scan.nodes
+    scan = Scan(prestressed=False)
+    moves = []
+    a = scan.fibres[0]
+    nodes = scan.nodes
     image = a.x.array.copy()
 
     def on_move() -> None:
@@ -191,7 +207,8 @@ def test_failure_of_the_last_move_leaves_the_image():
     """When on_move raises after the last solve; it is called once more, for the image."""
     moves = []
     Scan(prestressed=False).find(10.0, on_move=lambda: moves.append(None))
-    scan, last = Scan(prestressed=False), len(moves)
+    scan = Scan(prestressed=False)
+    last = len(moves)
     moves.clear()
 
     def on_move() -> None:
@@ -215,14 +232,14 @@ def test_inverted_cells_are_counted():
 
 def test_cell_inside_out_on_the_way(monkeypatch):
     """A guess that a solve cannot begin with is taken back by half, and the wall is found."""
-    scan, calls = Scan(prestressed=False), []
+    scan = Scan(prestressed=False)
+    calls = []
     solve = scan.problem.solve
 
     def refuse_second(**arguments):
         calls.append(scan.u.x.array.copy())
         if len(calls) == 2:
-            scan.problem.solver.setConvergedReason(INADMISSIBLE)
-            raise ConvergenceError("a cell is inside out")
+            raise InadmissibleStartError("a cell is inside out")
         solve(**arguments)
 
     monkeypatch.setattr(scan.problem, "solve", refuse_second)
@@ -271,7 +288,8 @@ def test_steps_are_the_same_in_any_unit_of_length(prestressed):
 @pytest.mark.processes(1, 2)
 def test_failure_leaves_the_image(prestressed):
     """A load that nothing carries: G or mesh, load and displacement are the last good."""
-    scan, seen = Scan(prestressed=prestressed), []
+    scan = Scan(prestressed=prestressed)
+    seen = []
     before = scan.found().copy()
     options = {} if prestressed else {"on_move": lambda: seen.append(scan.found().copy())}
     with raises(ConvergenceError, "No equilibrium was found beyond a load of 0"):
@@ -282,7 +300,8 @@ def test_failure_leaves_the_image(prestressed):
 
 
 def test_bad_input():
-    scan, given = Scan(prestressed=True), {"targets": [1.0], "steps": STEPS}
+    scan = Scan(prestressed=True)
+    given = {"targets": [1.0], "steps": STEPS}
     for tolerance in (0.0, -1.0, np.nan):
         with raises(ValueError, "tolerance is .*: give a positive share of the diameter"):
             scan.find(1.0, tolerance=tolerance)

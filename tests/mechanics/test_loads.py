@@ -69,7 +69,8 @@ def test_mmhg():
 def test_nanson(dim):
     """cof(F) = J F⁻ᵀ."""
     V, ds = cube(dim)
-    u, v = function(V, bulge), function(V, wave)
+    u = function(V, bulge)
+    v = function(V, wave)
     F = deformation_gradient(u)
     traction = -PRESSURE * ufl.det(F) * ufl.inv(F).T * ufl.FacetNormal(V.mesh)
     residual = loads.follower_pressure(PRESSURE, u, ufl.TestFunction(V), ds(1))
@@ -81,9 +82,11 @@ def test_nanson(dim):
 def test_full_tangent_by_finite_differences(dim):
     V, ds = cube(dim)
     u, d, w = (function(V, f) for f in (bulge, wave, twist))
-    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
+    du = ufl.TrialFunction(V)
     tangent = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(1), "full")
-    h, ends = 1e-3, []  # the residual is quadratic in u: central differences are exact
+    h = 1e-3
+    ends = []  # the residual is quadratic in u: central differences are exact
     for sign in (1, -1):
         moved = dolfinx.fem.Function(V)
         moved.x.array[:] = u.x.array + sign * h * d.x.array
@@ -97,10 +100,12 @@ def test_full_tangent_by_finite_differences(dim):
 def test_symmetric_tangent(dim):
     V, ds = cube(dim)
     u, d, w = (function(V, f) for f in (bulge, wave, twist))
-    v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
+    du = ufl.TrialFunction(V)
     full = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(1), "full")
     symmetric = loads.follower_pressure_tangent(PRESSURE, u, v, du, ds(1), "symmetric")
-    a, a_T = scalar(full, d, w), scalar(full, w, d)
+    a = scalar(full, d, w)
+    a_T = scalar(full, w, d)
     assert abs(a - a_T) > 0.05  # an open surface whose rim moves
     assert scalar(symmetric, d, w) == pytest.approx((a + a_T) / 2, rel=1e-12)
     assert scalar(symmetric, d, w) == pytest.approx(scalar(symmetric, w, d), rel=1e-12)
@@ -112,7 +117,9 @@ def end(k):
 
 def chosen(V, ds, p=PRESSURE, bcs=None):
     """The kind that a tangent turns out to be."""
-    u, v, du = function(V, bulge), ufl.TestFunction(V), ufl.TrialFunction(V)
+    u = function(V, bulge)
+    v = ufl.TestFunction(V)
+    du = ufl.TrialFunction(V)
     auto = loads.follower_pressure_tangent(p, u, v, du, ds, bcs=bcs)
     kinds = ("symmetric", "full")
     forms = {kind: loads.follower_pressure_tangent(p, u, v, du, ds, kind) for kind in kinds}
@@ -164,7 +171,9 @@ def test_pressure_that_varies_has_the_full_tangent():
 def test_nothing_to_add():
     """No tangent, or the number zero as a pressure: forms that can be added."""
     V, ds = cube(3)
-    u, v, du = function(V, bulge), ufl.TestFunction(V), ufl.TrialFunction(V)
+    u = function(V, bulge)
+    v = ufl.TestFunction(V)
+    du = ufl.TrialFunction(V)
     stiffness = ufl.inner(ufl.grad(du), ufl.grad(v)) * ufl.dx
     for nothing in (
         loads.follower_pressure_tangent(PRESSURE, u, v, du, ds, "none"),
@@ -177,7 +186,9 @@ def test_nothing_to_add():
 
 def test_bad_arguments():
     V, ds = cube(3)
-    u, v, du = function(V, bulge), ufl.TestFunction(V), ufl.TrialFunction(V)
+    u = function(V, bulge)
+    v = ufl.TestFunction(V)
+    du = ufl.TrialFunction(V)
     for displacement, part, more, match in (
         (2 * u, ds(1), {"bcs": []}, r"needs a dolfinx\.fem\.Function; give kind='symmetric' if"),
         (u, ds(7), {"bcs": []}, "ds has no facets: give the measure the facet tags"),

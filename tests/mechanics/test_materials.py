@@ -40,14 +40,16 @@ def fibred(F, J=None):
 
 
 def dispersed(F, dispersion):
-    C, J = kin.right_cauchy_green(F), kin.jacobian(F)
+    C = kin.right_cauchy_green(F)
+    J = kin.jacobian(F)
     families = vector(A1), vector(A2)
     return mat.gasser_ogden_holzapfel(C, *families, **HGO, dispersion=dispersion, J=J)
 
 
 def hand_stress(F):
     """First Piola stress of the HGO energy, derived on paper."""
-    J, inverse = np.linalg.det(F), np.linalg.inv(F).T
+    J = np.linalg.det(F)
+    inverse = np.linalg.inv(F).T
     scale = J ** (-2 / 3)
     piola = HGO["c"] * scale * (F - np.sum(F * F) / 3 * inverse)
     for a in (A1, A2):
@@ -95,7 +97,8 @@ def test_every_deformation_gradient_gives_the_same_form():
 @pytest.mark.parametrize("with_jacobian", [True, False])
 def test_isochoric_invariants(with_jacobian):
     F = variable(STRETCHED)
-    C, J = kin.right_cauchy_green(F), kin.jacobian(F) if with_jacobian else None
+    C = kin.right_cauchy_green(F)
+    J = kin.jacobian(F) if with_jacobian else None
     a = np.array([0.6, 0.0, 0.8])
     C_bar = STRETCHED.T @ STRETCHED / np.linalg.det(STRETCHED) ** (2 / 3)
     assert value(kin.isochoric_invariant_1(C, J)) == pytest.approx(np.trace(C_bar), rel=1e-14)
@@ -161,7 +164,8 @@ def test_stress_is_the_one_derived_on_paper(energy, F):
 def test_fibres_stiffen_the_reference_state_whatever_the_rounding(length):
     """∂²Ψ/∂F₁₁² at F = I: 4/3 c of the matrix, and 8 k₁ (cos²θ − 1/3)² of two families."""
     F = variable(np.eye(3))
-    a1, a2 = vector(length * A1), vector(length * A2)
+    a1 = vector(length * A1)
+    a2 = vector(length * A2)
     psi = mat.holzapfel_gasser_ogden(kin.right_cauchy_green(F), a1, a2, **HGO)
     curvature = value(ufl.diff(ufl.diff(psi, F)[0, 0], F)[0, 0])
     by_hand = 4 / 3 * HGO["c"] + 2 * 4 * HGO["k1"] * (np.cos(0.5) ** 2 - 1 / 3) ** 2
@@ -194,10 +198,17 @@ def test_parameters_of_the_paper():
 
 LAND = {"c": 2.0, "b_f": 8.0, "b_t": 2.0, "b_fs": 4.0}
 PIG = {
-    "a": 0.059, "b": 8.023, "a_f": 18.472, "b_f": 16.026,
-    "a_s": 2.481, "b_s": 11.120, "a_fs": 0.216, "b_fs": 11.436,
-}  # fmt: skip
-FIBRE, SHEET = np.array([0.6, 0.0, 0.8]), np.array([0.8, 0.0, -0.6])
+    "a": 0.059,
+    "b": 8.023,
+    "a_f": 18.472,
+    "b_f": 16.026,
+    "a_s": 2.481,
+    "b_s": 11.120,
+    "a_fs": 0.216,
+    "b_fs": 11.436,
+}
+FIBRE = np.array([0.6, 0.0, 0.8])
+SHEET = np.array([0.8, 0.0, -0.6])
 ANY = np.array([[1.1, 0.15, -0.1], [0.05, 0.9, 0.1], [-0.1, 0.1, 1.1]])
 
 
@@ -212,7 +223,8 @@ def test_guccione_by_hand():
 
 
 def holzapfel_ogden(F):
-    C, J = kin.right_cauchy_green(F), kin.jacobian(F)
+    C = kin.right_cauchy_green(F)
+    J = kin.jacobian(F)
     return mat.holzapfel_ogden(C, vector(FIBRE), vector(SHEET), **PIG, J=J)
 
 
@@ -271,7 +283,8 @@ def test_limit_of_the_quadrature_degree():
     """Of what is estimated above it and states none; derivatives inherit it."""
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
     u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,))))
-    dear, cheap = fibred(kin.deformation_gradient(u)) * ufl.dx, ufl.inner(u, u) * ufl.dx
+    dear = fibred(kin.deformation_gradient(u)) * ufl.dx
+    cheap = ufl.inner(u, u) * ufl.dx
     assert limit_quadrature_degree(cheap) == cheap
     for degree, expected in ((None, 4), (5, 5), (0, 0)):
         limited = limit_quadrature_degree(dear, degree)

@@ -31,7 +31,8 @@ class StretchedBlock:
         self.mesh = cube(3, 2)
         self.V = dolfinx.fem.functionspace(self.mesh, ("Lagrange", 1, (3,)))
         P0 = dolfinx.fem.functionspace(self.mesh, ("DG", 0))
-        self.u, self.p = dolfinx.fem.Function(self.V, name="u"), dolfinx.fem.Function(P0)
+        self.u = dolfinx.fem.Function(self.V, name="u")
+        self.p = dolfinx.fem.Function(P0)
         self.F = kinematics.deformation_gradient(self.u)
         self.J = kinematics.jacobian(self.F)
         self.psi = materials.neo_hookean(self.F.T * self.F, c=C1, J=self.J)
@@ -55,9 +56,14 @@ class StretchedBlock:
         total = psi + materials.perturbed_lagrangian(self.J, self.p, kappa=KAPPA)
         self.stress = dolfinx.fem.form(ufl.diff(total, self.F)[0, 0] * self.dx)
         return NonlinearProblem(
-            total * self.dx, self.u, bcs=bcs, condense=self.p, subdomains=4,
-            internal_variables=updates, petsc_options={"snes_rtol": 1e-10},
-        )  # fmt: skip
+            total * self.dx,
+            self.u,
+            bcs=bcs,
+            condense=self.p,
+            subdomains=4,
+            internal_variables=updates,
+            petsc_options={"snes_rtol": 1e-10},
+        )
 
     def force(self) -> float:
         return COMM.allreduce(dolfinx.fem.assemble_scalar(self.stress))
@@ -75,24 +81,33 @@ def block() -> StretchedBlock:
 
 def test_relaxation(block):
     """Stretched at once and held: the overstress fades as β e^{−t/τ}, exactly."""
-    block.u.x.array[:], block.p.x.array[:] = 0.0, 0.0
-    β, τ, jump, held = (0.5, 0.25), (2.0, 20.0), 1e-7, 0.7
-    S, Q = block.remembered((3, 3)), [block.remembered((3, 3)) for _ in β]
+    block.u.x.array[:] = 0.0
+    block.p.x.array[:] = 0.0
+    β = (0.5, 0.25)
+    τ = (2.0, 20.0)
+    jump = 1e-7
+    held = 0.7
+    S = block.remembered((3, 3))
+    Q = [block.remembered((3, 3)) for _ in β]
     branches = [memory.MaxwellBranch(*each) for each in zip(Q, β, τ, strict=True)]
     psi, updates = memory.viscoelastic(block.psi, block.F, S, branches, dt=block.dt)
     problem = block.problem(psi, updates)
-    block.pull.value, block.dt.value, t = 0.2, jump, 0.0
+    block.pull.value = 0.2
+    block.dt.value = jump
+    t = 0.0
     for _ in range(4):
         problem.solve()
         expected = elastic_force(1.2) * (1.0 + sum(np.array(β) * np.exp(-t / np.array(τ))))
         small(block.force() / expected - 1.0, 1e-5)
         problem.update_internal_variables()
-        block.dt.value, t = held, t + held
+        block.dt.value = held
+        t = t + held
 
 
 def test_update_in_a_load(block):
     """A load that is followed updates what is remembered in each equilibrium."""
-    block.u.x.array[:], block.p.x.array[:] = 0.0, 0.0
+    block.u.x.array[:] = 0.0
+    block.p.x.array[:] = 0.0
     m = block.remembered()
     psi, updates = memory.damaged(block.psi, m, d_max=0.6, W=0.1)
     problem = block.problem(psi, updates)
@@ -100,7 +115,8 @@ def test_update_in_a_load(block):
     def energy(stretch: np.ndarray) -> np.ndarray:
         return C1 / 2.0 * (stretch**2 + 2.0 / stretch - 3.0)
 
-    found, targets = [], np.array([0.1, 0.3, 0.1, 0.4])
+    found = []
+    targets = np.array([0.1, 0.3, 0.1, 0.4])
     follow_load(
         problem,
         lambda load: setattr(block.pull, "value", load),
@@ -121,11 +137,13 @@ def test_damaged_energy_is_the_integral_of_its_stress():
     """φ(Ψ) = ∫ (1 − d(max(m, ψ))) dψ, on both sides of Ψ = m."""
     mesh = cube(3, 1)
     R = dolfinx.fem.functionspace(mesh, ("DG", 0))
-    psi, m = dolfinx.fem.Function(R), dolfinx.fem.Function(R)
+    psi = dolfinx.fem.Function(R)
+    m = dolfinx.fem.Function(R)
     φ, _ = memory.damaged(psi, m, d_max=0.6, W=0.1)
     form = dolfinx.fem.form(φ * ufl.dx)
     for energy, largest in ((0.05, 0.2), (0.2, 0.2), (0.5, 0.2), (0.3, 0.0)):
-        psi.x.array[:], m.x.array[:] = energy, largest
+        psi.x.array[:] = energy
+        m.x.array[:] = largest
         expected, _ = scipy.integrate.quad(
             lambda e, most=largest: 1.0 - 0.6 * (1.0 - np.exp(-max(most, e) / 0.1)),
             0.0,

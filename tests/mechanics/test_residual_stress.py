@@ -22,7 +22,8 @@ from dolfinx_feti.mechanics.residual_stress import (
     stress_free_direction,
 )
 
-INNER, OUTER = 1.0, 1.4
+INNER = 1.0
+OUTER = 1.4
 MIDDLE = (INNER + OUTER) / 2
 
 
@@ -31,19 +32,23 @@ def half_ring(angle: float, stretch: float = 1.0):
     mesh = dolfinx.mesh.create_rectangle(
         COMM, [(INNER, 0.0), (OUTER, np.pi)], (4, 24), dolfinx.mesh.CellType.quadrilateral
     )
-    r, θ = mesh.geometry.x[:, 0].copy(), mesh.geometry.x[:, 1].copy()
-    mesh.geometry.x[:, 0], mesh.geometry.x[:, 1] = r * np.cos(θ), r * np.sin(θ)
+    r = mesh.geometry.x[:, 0].copy()
+    θ = mesh.geometry.x[:, 1].copy()
+    mesh.geometry.x[:, 0] = r * np.cos(θ)
+    mesh.geometry.x[:, 1] = r * np.sin(θ)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
     u = dolfinx.fem.Function(V)
     x = ufl.SpatialCoordinate(mesh)
     ρ = ufl.sqrt(ufl.inner(x, x))
     λ = residual_stretch(1 / MIDDLE, ρ - MIDDLE, angle, stretch)
-    e0, e2 = ufl.as_vector([-x[1] / ρ, x[0] / ρ, 0]), ufl.as_vector([x[0] / ρ, x[1] / ρ, 0])
+    e0 = ufl.as_vector([-x[1] / ρ, x[0] / ρ, 0])
+    e2 = ufl.as_vector([x[0] / ρ, x[1] / ρ, 0])
     tensor = opened([e0, ufl.as_vector([0, 0, 1]), e2], λ, stretch)
     G = ufl.as_matrix([[tensor[i, j] for j in range(2)] for i in range(2)])
     F = kinematics.deformation_gradient(u)
     F_e = elastic_part(F, G)
-    C, J = kinematics.right_cauchy_green(F_e), kinematics.jacobian(F_e)
+    C = kinematics.right_cauchy_green(F_e)
+    J = kinematics.jacobian(F_e)
     psi = materials.neo_hookean(C, c=3.0, J=J) + materials.volumetric(J, kappa=30.0)
     return u, F, psi
 
@@ -114,12 +119,14 @@ def test_an_oblique_fibre_of_the_image(angle):
 
     def stress(F, fibre, G):
         F_e = elastic_part(F, G)
-        C, J = kinematics.right_cauchy_green(F_e), kinematics.jacobian(F_e)
+        C = kinematics.right_cauchy_green(F_e)
+        J = kinematics.jacobian(F_e)
         psi = materials.neo_hookean(C, c=3.0, J=J)
         psi += 20.0 * (kinematics.isochoric_invariant_4(C, fibre, J) - 1) ** 2
         return value(kinematics.cauchy_stress(psi, F))
 
-    fibre, residual = ufl.as_vector(a.tolist()), ufl.as_matrix(G.tolist())
+    fibre = ufl.as_vector(a.tolist())
+    residual = ufl.as_matrix(G.tolist())
     F_e = variable(F @ np.linalg.inv(G))
     exact = stress(F_e, ufl.as_vector(A.tolist()), ufl.Identity(3))
     found = stress(variable(F), stress_free_direction(fibre, residual), residual)

@@ -14,9 +14,9 @@ from collective import agree, raises
 from mesh_files import watertight
 from wall_files import ROOT
 
+from dolfinx_feti.meshes import tube, vessel, wall_mesh
+from dolfinx_feti.meshes.wall_mesh import TAGS
 from dolfinx_feti.wall.wallfile import read_raw_wall
-from meshes import tube, vessel, wall_mesh
-from meshes.wall_mesh import TAGS
 
 pytestmark = pytest.mark.serial
 
@@ -24,7 +24,8 @@ pytestmark = pytest.mark.serial
 @pytest.mark.parametrize("quarter", [False, True])
 def test_tube(tmp_path, quarter):
     """No leak; a quarter ends exactly in its planes. ``test_bricks`` has volumes and areas."""
-    n, path = 4 if quarter else 16, tmp_path / "t.msh"
+    n = 4 if quarter else 16
+    path = tmp_path / "t.msh"
     quality = tube.create_tube(path, length=2.0, quarter=quarter, through=(2, 1), around=n, along=7)
     wall = read_raw_wall(path)
     agree(quality.cells == 3 * 2 * 3 * n * 7 and quality.minimum > 0.3, quality)
@@ -58,7 +59,8 @@ def test_command_line_makes_the_example(tmp_path, monkeypatch):
     command = re.search(r"python3 -m meshes\.tube meshes/example\.msh (.*)`", readme)
     monkeypatch.setattr(sys, "argv", ["prog", str(tmp_path / "new/t.msh"), *command[1].split()])
     tube.main()
-    made, example = (tmp_path / "new/t.msh").read_bytes(), ROOT / "meshes/example.msh"
+    made = (tmp_path / "new/t.msh").read_bytes()
+    example = ROOT / "meshes/example.msh"
     agree(made == example.read_bytes() and made.startswith(b"$MeshFormat\n2.2 "))
     agree(len(made) < 100_000)
     words = "prog t.msh --size 0.4 --quarter --through 1 1".split()

@@ -12,10 +12,10 @@ import pytest
 from collective import agree, equal, small
 from mesh_files import pipe, watertight, write_stl
 
-from meshes.layers import grow, sheets
-from meshes.remesh import remesh
-from meshes.surface import find_edges, read_stl, triangle_angles
-from meshes.wall_mesh import TAGS, WallMesh, measure_quality
+from dolfinx_feti.meshes.layers import grow, sheets
+from dolfinx_feti.meshes.remesh import remesh
+from dolfinx_feti.meshes.surface import find_edges, read_stl, triangle_angles
+from dolfinx_feti.meshes.wall_mesh import TAGS, WallMesh, measure_quality
 
 pytestmark = pytest.mark.serial
 

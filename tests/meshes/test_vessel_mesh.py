@@ -13,14 +13,15 @@ import pytest
 from collective import agree, equal, raises, small
 from mesh_files import areas, pipe, volumes, watertight, write_stl
 
+from dolfinx_feti.meshes import vessel
+from dolfinx_feti.meshes.surface import Guide, read_stl
+from dolfinx_feti.meshes.wall_mesh import TAGS
 from dolfinx_feti.wall.wallfile import read_raw_wall
-from meshes import vessel
-from meshes.surface import Guide, read_stl
-from meshes.wall_mesh import TAGS
 
 pytestmark = pytest.mark.serial
 
-THICKNESS, MEDIA = 1.0, 2 / 3
+THICKNESS = 1.0
+MEDIA = 2 / 3
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +47,8 @@ def test_vessel_has_layers_and_openings(artery):
 
     Mean radii of the openings are 4.3, 3.5 and 2.9 mm, from the wide one to the narrow one.
     """
-    area, volume = areas(artery.wall), volumes(artery.wall)
+    area = areas(artery.wall)
+    volume = volumes(artery.wall)
     openings = [f"opening_{k}" for k in (1, 2, 3)]
     agree(set(volume) == {"media", "adventitia"} and set(area) == {"lumen", "outer", *openings})
     radii = np.array([4.342, 3.503, 2.946])
@@ -102,7 +104,7 @@ def coarse(tmp_path_factory):
 
 
 def test_command_line_makes_the_same_vessel(coarse, tmp_path, monkeypatch):
-    """To the byte, as whoever makes it a second time."""
+    """Byte for byte, if it is generated a second time."""
     path = tmp_path / "new" / "w.msh"
     monkeypatch.setattr(sys, "argv", ["prog", str(path), "--size", "2.4"])
     vessel.main()
@@ -119,19 +121,21 @@ def test_command_line_makes_the_same_vessel(coarse, tmp_path, monkeypatch):
 )
 def test_layers_of_a_pipe(tmp_path, layers, through, size):
     """Each between its radii, with its number of elements."""
-    stl, path = write_stl(tmp_path / "pipe.stl", *pipe(), binary=True), tmp_path / "v.msh"
+    stl = write_stl(tmp_path / "pipe.stl", *pipe(), binary=True)
+    path = tmp_path / "v.msh"
     of = {"thickness": 1.0, "layers": layers, "through": through}
     vessel.create_vessel(path, surface=stl, size=size, **of)
     wall = read_raw_wall(path)
     watertight(wall)
-    volume, R = volumes(wall), 3.0 + np.cumsum([0.0, *layers.values()]) / sum(layers.values())
+    volume = volumes(wall)
+    R = 3.0 + np.cumsum([0.0, *layers.values()]) / sum(layers.values())
     equal([volume[name] for name in layers], np.pi * 10 * np.diff(R**2), 0.03)
     count = [np.sum(wall.layers == wall.layer_names[name]) for name in layers]
     agree(through is None or 2 * count[0] == 3 * count[1], count)
 
 
 def test_one_layer_from_a_surface_in_metres(tmp_path, monkeypatch, capsys):
-    """By the command line: one layer, of its own name; triangles may face inwards."""
+    """From the command line: one named layer; triangles may face inwards."""
     path = tmp_path / "wall.msh"
     x, t = pipe()
     stl = write_stl(tmp_path / "pipe.stl", x / 1000, t[:, ::-1], binary=True)

@@ -12,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from collective import agree, equal, raises
-from problems import cube, curved, with_bubbles
+from problems import cube, with_bubbles
 
 import basix.ufl
 import dolfinx
 import ufl
 
+from dolfinx_feti.meshes.curved import curved
 from dolfinx_feti.output import FieldWriter, cell_values, create_patches, recovered_field
 from dolfinx_feti.runtime.compat import interpolation_points
 
@@ -51,7 +52,8 @@ def test_data_at_quadrature_points_are_projected(tmp_path, kind, cell, degree):
     """A linear field is projected to itself; by one point, or to a constant, to its mean."""
     shape = getattr(dolfinx.mesh.CellType, cell)
     mesh = cube(2 if cell in ("triangle", "quadrilateral") else 3, 2, shape)
-    S, x = at_points(mesh, degree), ufl.SpatialCoordinate(mesh)
+    S = at_points(mesh, degree)
+    x = ufl.SpatialCoordinate(mesh)
     with FieldWriter(
         tmp_path / "o", [S], {"twice": 2 * S * (1 + x[0]) / (1 + x[0])}, kind=kind
     ) as writer:
@@ -206,7 +208,7 @@ X = ufl.SpatialCoordinate
 REFUSED = {
     r"its space is mixed; write its parts, f.sub\(0\)": mixed,
     "it lives on another mesh than the first": lambda mesh: X(cube(3, 1))[0],
-    "The expression holds .*, which lives on facets": lambda m: X(m)[0] * ufl.FacetNormal(m),
+    "The expression contains .*, which is defined on": lambda m: X(m)[0] * ufl.FacetNormal(m),
     "it holds a test or trial function": argument,
     r"The expression combines data at \d+ and at \d+ other": lambda mesh: (
         at_points(mesh, 2) * at_points(mesh, 3)

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import numpy.typing as npt
 import pytest
-from collective import COMM, agree, equal, raises, whole
+from collective import COMM, agree, equal, raises, small, whole
 from problems import cube
 from wall_files import on_first
 from walls import create_mesh
@@ -68,7 +68,8 @@ def read_vtx(path: Path) -> list[dict[str, Array]]:
     """Read all steps with ADIOS2's own reader: points of the cells, their centroids, values."""
     import adios2
 
-    fields, found = {"displacement", "divergence", "layer"}, []
+    fields = {"displacement", "divergence", "layer"}
+    found = []
     with adios2.Stream(str(path), "r") as stream:
         for _ in stream.steps():
             names = fields & set(stream.available_variables()) | {"geometry", "connectivity"}
@@ -97,7 +98,8 @@ def read_xdmf(path: Path) -> list[dict[str, Array]]:
             pointer = next(part.get("xpointer") for part in grid if "include" in part.tag)
             place = f"Mesh/{meshes[int(re.findall(r'[0-9]+', pointer)[0]) - 1]}"
             x, cells = (file[f"{place}/{name}"][:] for name in ("geometry", "topology"))
-            t, field = float(grid.find("Time").get("Value")), grid.find("Attribute")
+            t = float(grid.find("Time").get("Value"))
+            field = grid.find("Attribute")
             mesh = {"t": t, "points": x, "centroids": x[cells].mean(axis=1)}
             values = file[field.find("DataItem").text.split(":")[1]][:]
             found.setdefault(t, mesh)[field.get("Name")] = values
@@ -118,10 +120,13 @@ def test_what_is_written_is_read(u, tmp_path, kind):
     """VTX has points for each cell; in XDMF what is not continuous is one value for a cell."""
     path = write(tmp_path / "wall", u, TIMES, kind)
     agree(path == tmp_path / {"vtx": "wall.bp", "xdmf": "wall.xdmf"}[kind])
-    steps, n = read(path), u.function_space.mesh.topology.index_map(3).size_global
+    steps = read(path)
+    n = u.function_space.mesh.topology.index_map(3).size_global
     equal([step["t"] for step in steps], TIMES)
     for step in steps:
-        x, centroids, t = step["points"].T, step["centroids"].T, step["t"]
+        x = step["points"].T
+        centroids = step["centroids"].T
+        t = step["t"]
         agree(x.shape[1] >= 4 * n if kind == "vtx" else centroids.shape[1] == n)
         equal(step["displacement"], displacement(x, t).T, ROUNDING)
         at = x if kind == "vtx" else centroids
@@ -139,7 +144,8 @@ def test_mesh_that_moves(tmp_path, kind):
             writer.write(t)
             mesh.geometry.x[:] += 1.0
     for k, step in enumerate(read(writer.path)):
-        equal(np.nanmin(step["points"], axis=0), np.full(3, k), ROUNDING)
+        moved = np.nanmin(step["points"], axis=0) - k
+        small(float(np.abs(moved).max()), ROUNDING)  # beside the cube's edge of one
 
 
 def test_the_kind_follows_from_dolfinx(u, tmp_path):

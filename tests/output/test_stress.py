@@ -18,8 +18,8 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
+from dolfinx_feti.meshes.bricks import create_brick_tube
 from dolfinx_feti.output import Patches, balanced_stress, create_patches, recovered_field
-from meshes.bricks import create_brick_tube
 
 Array = npt.NDArray[np.float64]
 
@@ -100,7 +100,8 @@ def test_linear_pressure_from_its_means(dim):
     x = ufl.SpatialCoordinate(mesh)
     pressure = 3 - x[0] + 2 * x[dim - 1] + jump * (5 + x[1])
     Q = jump.function_space
-    p, q = dolfinx.fem.Function(Q), ufl.TestFunction(Q)
+    p = dolfinx.fem.Function(Q)
+    q = ufl.TestFunction(Q)
     means, size = (
         dolfinx.fem.assemble_vector(dolfinx.fem.form(f * q * ufl.dx(mesh))).array
         for f in (pressure, 1.0)
@@ -145,7 +146,8 @@ def spread_at(places: Array, values: Array) -> Array:
     """Greatest less smallest value at each place."""
     _, index = np.unique(places, axis=0, return_inverse=True)
     count = index.max() + 1
-    high, low = np.full(count, -np.inf), np.full(count, np.inf)
+    high = np.full(count, -np.inf)
+    low = np.full(count, np.inf)
     np.maximum.at(high, index.ravel(), values)
     np.minimum.at(low, index.ravel(), values)
     return high - low
@@ -206,8 +208,10 @@ def test_with_a_normal_means_count_along_the_wall_only():
 def test_bad_input():
     mesh = mesh_of(2)
     patches, jump = patches_of(mesh)
-    x, other = ufl.SpatialCoordinate(mesh), ufl.SpatialCoordinate(mesh_of(2))
-    layers, one = split(mesh), np.ones(1, dtype=np.int32)
+    x = ufl.SpatialCoordinate(mesh)
+    other = ufl.SpatialCoordinate(mesh_of(2))
+    layers = split(mesh)
+    one = np.ones(1, dtype=np.int32)
     facets = dolfinx.mesh.meshtags(mesh, 1, one - 1, one)
     here = layers.find(7)
     some = dolfinx.mesh.meshtags(mesh, 2, here, np.full(len(here), 7, dtype=np.int32))

@@ -39,7 +39,8 @@ def inflated(size: float, pressures: list[float]) -> dict[float, dict[str, float
         truth = inflate(step.load * KPA_PER_MMHG, Wall(kappa=KAPPA))
         plain = recovered_field(tube.body.stress, tube.patches)
         errors = tube.compare(truth) | tube.stress_errors(truth, plain, "plain")
-        e, J = tube.frame[1], ufl.det(ufl.Identity(3) + ufl.grad(tube.body.u))
+        e = tube.frame[1]
+        J = ufl.det(ufl.Identity(3) + ufl.grad(tube.body.u))
         hoop = ufl.inner(e, tube.recovered_stress * e) / ufl.inner(e, e)
         media = ufl.Measure("dx", subdomain_data=wall.cell_tags)(wall.layers["media"], degree=4)
         mean = scalar(hoop * J * media) / scalar(J * media)
@@ -65,7 +66,8 @@ def pressure_error(tube: InflatedTube, truth: Tube, p: dolfinx.fem.Function) -> 
     radii = np.linspace(truth.wall.layers[0].inner, truth.wall.layers[0].outer, 100)
     exact = [KAPPA * (truth.jacobian(R) - 1) for R in radii]
     media = tube.layer == 0
-    there, weights = np.interp(tube.radii[media], radii, exact), tube.weights[media]
+    there = np.interp(tube.radii[media], radii, exact)
+    weights = tube.weights[media]
     error, norm = ((weights * f**2).sum() for f in (tube.at_points(p)[media] - there, there))
     return float(np.sqrt(COMM.allreduce(error) / COMM.allreduce(norm)))
 

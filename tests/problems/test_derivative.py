@@ -17,7 +17,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import ConvergenceError, NonlinearProblem
-from dolfinx_feti.problems.derivative import QUANTITY
+from dolfinx_feti.problems.iteration.tangent_check import QUANTITY
 
 LOADS = (0.001, 0.002, 0.003)
 
@@ -36,7 +36,9 @@ def advised(problem):
 def heat(J=None, k=lambda u: 1 + u**2, **options):
     """−div(k grad u) = 40, u = 0 on one side; J of the user's own, from u, v and du."""
     V = dolfinx.fem.functionspace(cube(2, 8), ("Lagrange", 1))
-    u, v, du = dolfinx.fem.Function(V), ufl.TestFunction(V), ufl.TrialFunction(V)
+    u = dolfinx.fem.Function(V)
+    v = ufl.TestFunction(V)
+    du = ufl.TrialFunction(V)
     F = (k(u) * ufl.inner(ufl.grad(u), ufl.grad(v)) - 40.0 * v) * ufl.dx
     J = None if J is None else J(u, v, du) * ufl.dx
     bcs = [dirichlet(V, left)]
@@ -95,7 +97,7 @@ def test_missing_term_in_a_solve_that_fails():
     problem = heat(without_term, snes_max_it=3)
     with raises(ConvergenceError, "no convergence within 3 steps: J is not the derivative of F"):
         problem.solve()
-    agree("smaller steps" not in problem._newton.message, problem._newton.message)
+    agree("smaller steps" not in problem._newton.outcome.message, problem._newton.outcome.message)
     agree(len(advised(problem)) == 1)
 
 
@@ -126,5 +128,133 @@ def test_coefficient_that_changes_with_u():
 def test_right_tangent_of_a_beam(caplog, kind):
     """Which is slow in the middle of large steps."""
     problem, said = bent(kind, caplog)
-    agree(not problem._newton.mismatch and not advised(problem))
+    agree(not problem._newton.findings and not advised(problem))
     agree(not said, said)
+
+
+# -- who made J
+
+
+def opposite(kind, factor, *, start=0.0, energy=False, condense=False):
+    """A problem whose J is a negative multiple of the derivative."""
+    mesh = cube(2, 6)
+    shape = () if kind == "scalar" else (2,)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2 if condense else 1, shape))
+    u = dolfinx.fem.Function(V)
+    v = ufl.TestFunction(V)
+    du = ufl.TrialFunction(V)
+    u.x.array[:] = start
+    more = {}
+    if kind == "scalar":
+        potential = (ufl.inner(ufl.grad(u), ufl.grad(u)) / 2 + u**4 / 4 - 40.0 * u) * ufl.dx
+        residual = ufl.derivative(potential, u, v)
+    else:
+        grad = ufl.Identity(2) + ufl.grad(u)
+        density = ufl.inner(grad, grad) / 2 - ufl.ln(ufl.det(grad)) + 0.05 * u[1]
+        if condense:
+            p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="p")
+            density += p * (ufl.det(grad) - 1) - p**2 / 2e3
+            more = {"condense": p}
+        potential = density * ufl.dx(degree=4)
+        residual = ufl.derivative(potential, u, v)
+    F = potential if energy or condense else residual
+    J = factor * ufl.derivative(residual, u, du)
+    return NonlinearProblem(F, u, [dirichlet(V, left)], J, subdomains=4, **more)
+
+
+@pytest.mark.parametrize("factor", [-1.0, -0.1, -20.0])
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("scalar", {}),
+        ("scalar", {"start": 0.3}),
+        ("scalar", {"energy": True}),
+        ("vector", {}),
+        ("vector", {"energy": True}),
+        ("vector", {"condense": True}),
+    ],
+)
+def test_wrong_sign(kind, options, factor, caplog):
+    """Found after a step, or two if the boundary moves, in each solve, and not said twice."""
+    problem = opposite(kind, factor, **options)
+    for _ in range(2):
+        with raises(ConvergenceError, "J has the wrong sign: give J = ufl.derivative"):
+            problem.solve()
+        agree(len(problem.history) <= (2 if options.get("start") else 1), problem.history)
+    agree(not warned(caplog), warned(caplog))
+    (advice,) = advised(problem)
+    agree("wrong sign" in advice.text, advice)
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.5])
+def test_right_sign(factor):
+    """Half the derivative is not right, but no reason to end."""
+    problem = opposite("scalar", factor)
+    problem.solve()
+    agree(not any("sign" in finding.advice.text for finding in problem._newton.findings))
+
+
+def ground(penalty, degree=None, *, given=False, kind="abs", dim=2):
+    """A strip pressed on a wavy ground: a penalty on the positive part of the overlap."""
+    mesh = cube(dim, 12 if dim == 2 else 4)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
+    u = dolfinx.fem.Function(V)
+    v = ufl.TestFunction(V)
+    x = ufl.SpatialCoordinate(mesh)
+    last = dim - 1
+    push = np.zeros(dim)
+    push[last] = -0.1
+    bcs = [
+        dirichlet(V, lambda x: np.isclose(x[last], 1.0), lambda x: push[:, None] + 0.0 * x[:dim])
+    ]
+    gap = -(u[last] + 0.05 + 0.04 * ufl.sin(9 * x[0]))
+    positive = {
+        "abs": (gap + abs(gap)) / 2,
+        "max_value": ufl.max_value(gap, 0.0),
+        "conditional": ufl.conditional(ufl.gt(gap, 0.0), gap, 0.0),
+    }[kind]
+    e = ufl.sym(ufl.grad(u))
+    strain = ufl.inner(8 * e + 5 * ufl.tr(e) * ufl.Identity(dim), ufl.grad(v)) * ufl.dx
+    below = ufl.conditional(ufl.lt(x[last], 1e-6), 1.0, 0.0)
+    measure = ufl.ds if degree is None else ufl.ds(degree=degree)
+    F = strain - penalty * positive * below * v[last] * measure
+    J = ufl.derivative(F, u, ufl.TrialFunction(V)) if given else None
+    return NonlinearProblem(F, u, bcs, J, subdomains=4)
+
+
+@pytest.mark.parametrize("given", [False, True])
+@pytest.mark.parametrize("kind", ["abs", "max_value", "conditional"])
+@pytest.mark.parametrize(("penalty", "dim"), [(1e3, 2), (1e4, 2), (1e3, 3)])
+def test_tangent_has_the_degrees_of_the_residual(kind, penalty, dim, given):
+    """Steps without a degree in the measure, of a J that is derived or UFL's, as with one."""
+    steps = []
+    for degree in (4, None):
+        problem = ground(penalty, degree, given=given, kind=kind, dim=dim)
+        problem.solve()
+        steps.append(len(problem.history))
+        agree(not problem._newton.findings, problem._newton.findings)
+    agree(steps[1] <= steps[0] + 3, f"{steps[1]} steps, {steps[0]} with a degree")
+
+
+def test_kink_is_named():
+    """A solve that fails across a kink says so, and names no J if none was passed."""
+    problem = ground(1e3)
+    problem.solver.setTolerances(max_it=2)
+    with raises(ConvergenceError, r"within 2 steps.*F has a kink in u \(abs\)"):
+        problem.solve()
+    agree("leave J out" not in problem._newton.outcome.message, problem._newton.outcome.message)
+
+
+def test_residual_that_does_not_change(caplog):
+    """A u that occurs in F only formally: no division by zero, and an error that says so."""
+    V = dolfinx.fem.functionspace(cube(2, 4), ("Lagrange", 1))
+    u = dolfinx.fem.Function(V)
+    v = ufl.TestFunction(V)
+    du = ufl.TrialFunction(V)
+    zero = dolfinx.fem.Constant(V.mesh, 0.0)
+    F = (zero * u * v - v) * ufl.dx
+    J = ufl.inner(ufl.grad(du), ufl.grad(v)) * ufl.dx
+    options = {"snes_max_it": 1}
+    problem = NonlinearProblem(F, u, [dirichlet(V, left)], J, subdomains=2, petsc_options=options)
+    with raises(ConvergenceError, "F does not change with u at all: pass before_assembly"):
+        problem.solve()

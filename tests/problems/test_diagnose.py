@@ -35,7 +35,8 @@ def quantities(problem):
 def test_figures_of_a_linear_problem(solve):
     problem = solve(elasticity(cube(3, 4)), 6, {"feti_type": "all_floating"})
     found = problem.diagnose()
-    figures, report = found.figures, found.report
+    figures = found.figures
+    report = found.report
     count = COMM.allreduce(problem.decomposition.count)
     agree(report.subdomains == count and len(found.residuals) == count)
     agree(report.dofs == 3 * 5**3 == sum(figures["dofs by copies"]))
@@ -106,7 +107,7 @@ def test_solve_that_fails():
 
 
 def advises(quantity, wrong, *right):
-    """Require that a problem is told of a quantity, and the others are not."""
+    """Assert that one problem has advice on a quantity, and the others have none."""
     agree(quantity in quantities(wrong))
     for problem in right:
         agree(quantity not in quantities(problem))
@@ -114,7 +115,8 @@ def advises(quantity, wrong, *right):
 
 def test_few_and_many_dofs(monkeypatch):
     body = elasticity(cube(2, 30))
-    few, many = torn(body, 8 * COMM.size), torn(body, COMM.size)
+    few = torn(body, 8 * COMM.size)
+    many = torn(body, COMM.size)
     advises("mean dofs of a subdomain", few, many)
     monkeypatch.setattr(advice, "MANY_DOFS", 300)
     said = [a.text for a in many.diagnose().advice]
@@ -151,7 +153,8 @@ def layered(hard):
 def test_equal_weights_at_a_jump():
     """Stiff and soft halves, glued with the weights of equals."""
     body, stiff, height = layered(lambda y: y > 0.5)
-    halves, equals = (height > 0.5).astype(np.int32), {"feti_scaling": "multiplicity"}
+    halves = (height > 0.5).astype(np.int32)
+    equals = {"feti_scaling": "multiplicity"}
     right = torn(stiff, halves), torn(body, halves, **equals)
     advises("jump of the stiffness between subdomains", torn(stiff, halves, **equals), *right)
 
@@ -159,7 +162,8 @@ def test_equal_weights_at_a_jump():
 def test_no_soft_modes():
     """In a layered body the paper's coarse space is too small for the weights of equals."""
     body, hard, _ = layered(lambda y: ufl.sin(8 * np.pi * y) > 0.0)
-    n, paper = 6 * COMM.size, {"feti_coarse_modes": 0}
+    n = 6 * COMM.size
+    paper = {"feti_coarse_modes": 0}
     weak = torn(hard, n, feti_scaling="multiplicity", feti_formulation="dual", **paper)
     advises("condition number", weak, torn(hard, n), torn(body, n, **paper))
 

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 import traceback
 from types import SimpleNamespace
 
@@ -78,7 +80,8 @@ def test_no_conditions(heat, rubber):
 
 def test_options_of_the_compilers(heat, rubber, tmp_path):
     """They reach both, and are not added to; the folder keeps the package's own kernels, too."""
-    form_options, jit_options = {"epsilon": 1e-13}, {"cache_dir": str(tmp_path / "forms")}
+    form_options = {"epsilon": 1e-13}
+    jit_options = {"cache_dir": str(tmp_path / "forms")}
     options = {"form_compiler_options": form_options, "jit_options": jit_options}
     problem = LinearProblem(heat.a, heat.L, bcs=heat.bcs, subdomains=4, **options)
     equal(owned(problem.solve()), owned(heat.u), 1e-6)
@@ -112,6 +115,42 @@ def test_prefix_that_is_not_the_same_on_all(heat, other):
         LinearProblem(heat.a, heat.L, heat.bcs, subdomains=4, petsc_options_prefix=prefix)
 
 
+# -- signatures
+
+#: Keyword arguments of both classes.
+SHARED = {
+    "subdomains": None,
+    "seed": 0,
+    "petsc_options": None,
+    "petsc_options_prefix": None,
+    "form_compiler_options": None,
+    "jit_options": None,
+    "near_null_space": None,
+    "null_space": None,
+    "condense": None,
+    "scalars": (),
+    "kappa": None,
+    "volume_tolerance": None,
+    "P": None,
+    "kind": None,
+    "entity_maps": None,
+}
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("problem", [LinearProblem, NonlinearProblem])
+def test_signature_shows_all_arguments(problem):
+    """As help(), Tab and editors read it: each with a type, a default, and a description."""
+    parameters = inspect.signature(problem).parameters
+    defaults = {name: parameters[name].default for name in SHARED if name in parameters}
+    assert defaults == SHARED
+    kinds = {parameter.kind for parameter in parameters.values()}
+    assert not kinds & {inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL}
+    assert all(p.annotation is not inspect.Parameter.empty for p in parameters.values())
+    documented = re.findall(r"^    (\w+): ", inspect.getdoc(problem.__init__), re.MULTILINE)
+    assert documented[: len(parameters)] == list(parameters)
+
+
 # -- what is answered
 
 
@@ -136,6 +175,18 @@ def test_newton_solver(rubber):
         agree("Did you mean" not in "".join(traceback.format_exception(error)), error)
     with raises(AttributeError, "'NonlinearProblem' object has no attribute 'other'$"):
         problem.other  # noqa: B018
+
+
+def test_subclass_that_hands_its_keywords_on(rubber):
+    """As in an adapter: its signature does not show the keywords of the base class."""
+
+    class Adapted(NonlinearProblem):
+        def __init__(self, *args: object, **kwargs: object) -> None:
+            super().__init__(*args, subdomains=4, **kwargs)
+
+    problem = Adapted(rubber.F, rubber.u, bcs=rubber.bcs, J=rubber.J)
+    problem.solve()
+    agree(problem.solver.getConvergedReason() > 0, problem.solver.getConvergedReason())
 
 
 # -- attributes
@@ -203,7 +254,8 @@ def test_values_of_conditions_may_change(heat):
 
 def elastic(mesh):
     """Return the spaces of Taylor and Hood's elements, alone, mixed and in parts."""
-    cell, dim = mesh.basix_cell(), mesh.geometry.dim
+    cell = mesh.basix_cell()
+    dim = mesh.geometry.dim
     parts = basix.ufl.element("P", cell, 2, shape=(dim,)), basix.ufl.element("P", cell, 1)
     spaces = [dolfinx.fem.functionspace(mesh, part) for part in parts]
     mixed = dolfinx.fem.functionspace(mesh, basix.ufl.mixed_element(parts))
@@ -234,7 +286,8 @@ def linear_parts(mesh, *, blocks=False):
     _, _, W = elastic(mesh)
     v, q = ufl.TestFunctions(W)
     above, below, pull = rows(*ufl.TrialFunctions(W), v, q)
-    a, L = above + below, pull + 0 * q * ufl.dx(mesh) if blocks else pull
+    a = above + below
+    L = pull + 0 * q * ufl.dx(mesh) if blocks else pull
     LinearProblem(ufl.extract_blocks(a) if blocks else a, L)
 
 
@@ -251,22 +304,27 @@ def nonlinear_blocks(mesh):
 
 def three_scalars(mesh):
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
-    NonlinearProblem([ufl.dx(mesh)] * 3, [dolfinx.fem.Function(V) for _ in range(3)])
+    species = [dolfinx.fem.Function(V) for _ in range(3)]
+    v = ufl.TestFunction(V)
+    NonlinearProblem([f * v * ufl.dx for f in species], species)
 
 
 def flux(mesh):
-    cell, family = mesh.basix_cell(), "RT" if mesh.geometry.dim == 3 else "RTCF"
+    cell = mesh.basix_cell()
+    family = "RT" if mesh.geometry.dim == 3 else "RTCF"
     pair = [basix.ufl.element(family, cell, 1), basix.ufl.element("DG", cell, 0)]
     W = dolfinx.fem.functionspace(mesh, basix.ufl.mixed_element(pair))
-    w, t = ufl.TrialFunction(W), ufl.TestFunction(W)
+    w = ufl.TrialFunction(W)
+    t = ufl.TestFunction(W)
     LinearProblem(ufl.inner(w, t) * ufl.dx, t[0] * ufl.dx)
 
 
-SOLID = r"Condense a discontinuous .*NonlinearProblem\(\[F_u, F_p\], u, bcs=bcs, condense=p\)"
+SOLID = r"A pressure has to be discontinuous.*NonlinearProblem\(\[F_u, F_p\], \[u, p\], bcs=bcs\)"
 OTHER = "Solve it by dolfinx, with MUMPS or a field split"
+SEVERAL = "If all fields may have the same degree, make them components of one unknown"
 SOLIDS = (linear_mixed, nonlinear_mixed, linear_parts, linear_blocks, nonlinear_blocks)
 WAYS = {way: SOLID for way in SOLIDS} | {
-    three_scalars: f"{OTHER}\\.",
+    three_scalars: SEVERAL,
     flux: f"{OTHER}; or, if the vector is a flux −k ∇p, solve −div",
 }
 

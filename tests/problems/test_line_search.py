@@ -7,48 +7,89 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 
-from dolfinx_feti.problems.line_search import LONGEST, line_search
-from dolfinx_feti.problems.system import Residual
+from dolfinx_feti.problems.equations.state import StateValues
+from dolfinx_feti.problems.equations.system import Residual
+from dolfinx_feti.problems.iteration import line_search
+from dolfinx_feti.problems.iteration.iterate import Direction, Iterate
+from dolfinx_feti.problems.iteration.line import Line, Trial
+from dolfinx_feti.problems.iteration.line_search import LONGEST, find_step_length
+from dolfinx_feti.problems.iteration.step_test import StepTest
 
 pytestmark = pytest.mark.serial
 
 
+def unchanged(r):
+    """Return a residual: no dof is fixed."""
+    return r
+
+
 class OneUnknown:
-    """A system with r(u) and, if given, Π(u); cells are inside out where ``inverted`` says so."""
+    """A System with r(u) and perhaps Π(u); its cells are inverted if ``inverted(u)``."""
 
     def __init__(self, r, potential=None, inverted=lambda u: False, moves=False):
-        self.u, self.visited = 0.0, []
+        self.u = 0.0
+        self.visited = []
+        self.moves = moves
         self._r = r
-        self.has_potential, self.scalars = potential is not None, SimpleNamespace(size=0)
-        self.potential = lambda: potential(self.u)
-        self.least_volume_ratio = lambda: -1.0 if inverted(self.u) else 1.0
-        self.boundary_moves = lambda here: moves
-        self.increment = lambda here, du: (du, np.zeros(0))
-        self.multiply, self.free = lambda d: 0.0 * d, lambda r: r
-        self.dot = lambda a, b: float(a @ b)
+        self.comm = MPI.COMM_SELF
+        self.has_potential = potential is not None
+        self.scalars = SimpleNamespace(size=0)
+        self.state = SimpleNamespace(values=self._values, set=self._set)
+        self.conditions = SimpleNamespace(free=unchanged)
+        self.tangent = SimpleNamespace(multiply=np.zeros_like)
+        self._potential = potential
+        self._inverted = inverted
 
-    def state(self):
-        return np.array([self.u]), np.zeros(0)
+    def potential(self):
+        return self._potential(self.u)
 
-    def set_state(self, state):
-        self.u = float(state[0][0])
+    def smallest_volume_ratio(self):
+        return -1.0 if self._inverted(self.u) else 1.0
+
+    def increment(self, _residual, du, _ds):
+        return StateValues(du, np.zeros(0), np.zeros(0))
+
+    def _values(self):
+        return StateValues(np.array([self.u]), np.zeros(0), np.zeros(0))
+
+    def _set(self, values):
+        self.u = float(values.u[0])
         self.visited.append(self.u)
 
     def residual(self):
         r = np.array([self._r(self.u)])
         return Residual(r, r, np.zeros(1), None)
 
+    def iterate(self):
+        residual = self.residual()
+        return Iterate(residual, abs(residual.force[0]), 0.0, violates_constraints=self.moves)
+
+
+def line_of(system: OneUnknown, *, shifted: bool = False) -> Line:
+    """Return the line along ΔU = 1."""
+    direction = Direction(
+        np.ones(1), np.zeros(0), float(shifted), (1,), None, is_descent=system.has_potential
+    )
+    return Line(system, system.iterate(), direction)
+
+
+def step_along(system: OneUnknown, line: Line) -> Trial:
+    """Return the trial where the step along a line ends."""
+    return find_step_length(line, StepTest(system, line))
+
 
 def search(system: OneUnknown, *, shifted: bool = False) -> float:
-    """Search along ΔU = 1; return α, which the state and the trial that is found tell, too."""
-    height = system.potential() if system.has_potential else np.nan
-    found = line_search(system, system.residual(), np.ones(1), shifted=shifted, height=height)
-    assert system.u == found.alpha and found.residual.condensed[0] == system._r(system.u)
-    assert np.isnan(found.potential) or found.potential == system.potential()
-    return found.alpha
+    """Search along ΔU = 1; return α, and assert that state and trial are those at α."""
+    trial = step_along(system, line_of(system, shifted=shifted))
+    assert system.u == trial.alpha
+    assert trial.residual.condensed[0] == system._r(system.u)
+    assert np.isnan(trial.potential) or trial.potential == system.potential()
+    return trial.alpha
 
 
 def valley(pit):
@@ -98,6 +139,36 @@ def test_only_trials_that_are_needed():
 @pytest.mark.parametrize("kink", [0.9, 0.06, 1e-5])
 def test_a_step_ends_close_to_a_kink(kink, jump, energy):
     """g(α)/g(0) is 1 up to the kink and −jump after it: no other step length is close."""
-    potential = lambda u: -u if u < kink else jump * (u - kink) - kink  # noqa: E731
+
+    def potential(u):
+        return -u if u < kink else jump * (u - kink) - kink
+
     system = OneUnknown(lambda u: -1.0 if u < kink else jump, potential if energy else None)
     assert kink / 1.3 <= search(system) <= kink and len(system.visited) < 40
+
+
+class Tenth:
+    """A line search of a stranger: α = 1/10, wherever it leads."""
+
+    def serves(self, line):
+        return True
+
+    def search(self, line, test):
+        return line.move(0.1)
+
+
+def test_a_further_search_is_a_class_and_an_entry(monkeypatch):
+    """The first one in the list that serves a direction is used; the default search comes last."""
+    monkeypatch.setattr(line_search, "SPECIAL_SEARCHES", (*line_search.SPECIAL_SEARCHES, Tenth()))
+    assert search(OneUnknown(**SINGLE)) == 0.1
+
+
+def test_contact_takes_whole_steps_and_shortens_those_that_invert_a_cell():
+    """g(1)/g(0) = −3 overshoots; with contact it is a whole step all the same."""
+    for inverted, alpha in ((lambda u: False, 1.0), (lambda u: u > 0.6, 0.25)):
+        system = OneUnknown(lambda u: 4.0 * u - 1.0, inverted=inverted)
+        line = line_of(system)
+        line.allows_overshoot = True
+        trial = step_along(system, line)
+        assert isinstance(trial, Trial) and trial.alpha == alpha
+        assert system.visited[0] == 1.0 and system.visited.count(1.0) == 1

@@ -19,7 +19,8 @@ import ufl
 from dolfinx_feti import ConvergenceError, NonlinearProblem
 from dolfinx_feti.loading import Steps, follow_load
 from dolfinx_feti.problems import multipliers
-from dolfinx_feti.problems.multipliers import Anderson, hold
+from dolfinx_feti.problems.volume_multipliers import set_multipliers_to_pressure
+from dolfinx_feti.runtime.anderson import Anderson
 
 ELEMENTS = ["p2-p1d", "q2-p1d", "p2-p0-p0"]
 INCOMPRESSIBLE = 1e12
@@ -33,7 +34,8 @@ def part(n):
 
 def test_three_rates_are_gone_after_four_updates():
     """As in GMRES."""
-    rate, λ = np.array([0.9, 0.7, 0.3, 0.9])[part(4)], np.zeros(4)[part(4)]
+    rate = np.array([0.9, 0.7, 0.3, 0.9])[part(4)]
+    λ = np.zeros(4)[part(4)]
     anderson = Anderson(COMM, len(λ))
     for _ in range(4):
         λ = anderson.next(λ, 1.0 - λ + rate * (λ - 1.0))
@@ -42,12 +44,15 @@ def test_three_rates_are_gone_after_four_updates():
 
 def test_n_unknowns_take_one_more_evaluation():
     """Though the map itself does not contract; ghosts follow and do not count."""
-    n, random = 12, np.random.default_rng(1)
-    A, b = random.uniform(-0.8, 0.8, (n, n)), random.uniform(-1.0, 1.0, n)
+    n = 12
+    random = np.random.default_rng(1)
+    A = random.uniform(-0.8, 0.8, (n, n))
+    b = random.uniform(-1.0, 1.0, n)
     agree(np.abs(np.linalg.eigvals(A)).max() > 1.2)
     own = np.r_[part(n)]
     order = np.r_[own, np.setdiff1d(np.arange(n), own)]
-    anderson, U = Anderson(COMM, len(own)), np.zeros(n)
+    anderson = Anderson(COMM, len(own))
+    U = np.zeros(n)
     for _ in range(n + 1):
         U[order] = anderson.next(U[order], (A @ U + b - U)[order])
     small(np.abs(A @ U + b - U).max(), 1e-8)
@@ -83,7 +88,8 @@ def swelling(body: Block) -> float:
 @pytest.mark.parametrize("element", ELEMENTS[1:])
 def test_the_incompressible_solution(element):
     """κ of ten times the shear modulus ends where the mixed problem with κ = ∞ does."""
-    body, alone = at_rest(COMM, element, 10.0), at_rest(MPI.COMM_SELF, element, INCOMPRESSIBLE)
+    body = at_rest(COMM, element, 10.0)
+    alone = at_rest(MPI.COMM_SELF, element, INCOMPRESSIBLE)
     solved = problem(body, 1e-9)
     solved.solve()
     small(swelling(body), 1e-9)
@@ -100,12 +106,14 @@ def test_slope_of_the_potential(element):
     body = at_rest(COMM, element, 10.0)
     body.deform()
     system = problem(body, 1e-6)._system
-    hold(system)
+    set_multipliers_to_pressure(system)
     body.fields[-1].x.array[:] += 0.3
     system.condensation.relax()
-    r, u = system.residual().condensed, owned(body.u).copy()
+    r = system.residual().condensed
+    u = owned(body.u).copy()
     w = np.cos(np.arange(len(u)))
-    h, values = 1e-5, []
+    h = 1e-5
+    values = []
     for sign in (1.0, -1.0):
         body.u.x.array[: len(u)] = u + sign * h * w
         body.u.x.scatter_forward()
@@ -114,7 +122,7 @@ def test_slope_of_the_potential(element):
     body.u.x.scatter_forward()
     F = dolfinx.fem.assemble_vector(dolfinx.fem.form(body.F_u))
     F.scatter_reverse(dolfinx.la.InsertMode.add)
-    equal(r, system.free(F.array[: len(u)]), 1e-10)
+    equal(r, system.conditions.free(F.array[: len(u)]), 1e-10)
     slope = COMM.allreduce(float(F.array[: len(u)] @ w))
     small((values[0] - values[1]) / (2 * h) / slope - 1.0, 1e-6)
 
@@ -151,7 +159,8 @@ def test_load_steps():
         first = attempts.count(0.4) == 1 and value == 0.4
         solved.solver.setTolerances(max_it=1 if first else 30)
 
-    steps, state = Steps(first=0.2, least=0.05), [body.u, *body.fields]
+    steps = Steps(first=0.2, least=0.05)
+    state = [body.u, *body.fields]
     found = follow_load(solved, set_load, [0.2, 0.4, 0.6], steps, state=state)
     agree(sum(step.failures for step in found) == 1)
     small(swelling(body), 1e-6)
@@ -159,7 +168,7 @@ def test_load_steps():
 
 
 def test_a_kappa_that_is_too_small(monkeypatch):
-    monkeypatch.setattr(multipliers, "UPDATES", 2)
+    monkeypatch.setattr(multipliers, "MAX_UPDATES", 2)
     solved = problem(at_rest(COMM, "q2-p1d", 1.0), 1e-12)
     with raises(ConvergenceError, "After 2 updates .* is still off by .*: take a larger κ"):
         solved.solve()

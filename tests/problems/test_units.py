@@ -30,7 +30,8 @@ from dolfinx_feti.loading import LoadStep, Motion, Steps, TimeSteps, follow_load
 from dolfinx_feti.mechanics import loads
 
 #: Bodies of each kind, on one process and on several.
-ALONE, TOGETHER = 4, 2
+ALONE = 4
+TOGETHER = 2
 
 
 class Units(NamedTuple):
@@ -70,12 +71,15 @@ class Body:
 
     def __init__(self, kind: Kind) -> None:
         d = kind.dim
-        corners, cells = [np.zeros(d), np.array([2.0, 1.0, 1.0][:d])], [4, 2, 2][:d]
+        corners = [np.zeros(d), np.array([2.0, 1.0, 1.0][:d])]
+        cells = [4, 2, 2][:d]
         create = dolfinx.mesh.create_rectangle if d == 2 else dolfinx.mesh.create_box
         self.mesh = mesh = create(COMM, corners, cells)
-        self._x, self._kind = mesh.geometry.x.copy(), kind
+        self._x = mesh.geometry.x.copy()
+        self._kind = kind
         V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2 if kind.condensed else 1, (d,)))
-        self.u, self.g = dolfinx.fem.Function(V), dolfinx.fem.Function(V)
+        self.u = dolfinx.fem.Function(V)
+        self.g = dolfinx.fem.Function(V)
         names = ("mu", "bulk", "weight", "pressure", "spring", "density")
         self.constants = c = {name: dolfinx.fem.Constant(mesh, 1.0) for name in names}
         sides = [
@@ -91,7 +95,8 @@ class Body:
             dolfinx.fem.dirichletbc(self.g, dolfinx.fem.locate_dofs_topological(V, d - 1, end))
             for end in sides[kind.springs : 2]
         ]
-        u, v = self.u, ufl.TestFunction(V)
+        u = self.u
+        v = ufl.TestFunction(V)
         F = ufl.Identity(d) + ufl.grad(u)
         J = ufl.det(F)
         psi = c["mu"] / 2 * (ufl.inner(F, F) - d - 2 * ufl.ln(J))
@@ -117,11 +122,14 @@ class Body:
         self.problem = NonlinearProblem(F, u, bcs, subdomains=max(4, COMM.size), **common)
 
     def set(self, units: Units, values: dict[str, float]) -> None:
-        """Take units and the values in the body's own."""
-        s, h, t = units.stress, units.length, units.time
+        """Set the units, and the values in them."""
+        s = units.stress
+        h = units.length
+        t = units.time
         scales = {"weight": s / h, "spring": s / h, "density": s * t**2 / h**2}
         self.mesh.geometry.x[:] = h * self._x
-        self.units, self._values = units, values
+        self.units = units
+        self._values = values
         self._scaled = {name: scales.get(name, s) * value for name, value in values.items()}
         for name in ("mu", "bulk", "spring", "density"):
             self.constants[name].value = self._scaled[name]
@@ -134,9 +142,11 @@ class Body:
         for name in ("weight", "pressure"):
             self.constants[name].value = share * self._scaled[name]
         x = self.u.function_space.tabulate_dof_coordinates() / self.units.length
-        stretch, shear = self._values["stretch"], self._values["shear"]
+        stretch = self._values["stretch"]
+        shear = self._values["shear"]
         g = np.zeros((len(x), self._kind.dim))
-        g[:, 0], g[:, 1] = stretch * x[:, 0] / 2, shear * x[:, 0] / 2
+        g[:, 0] = stretch * x[:, 0] / 2
+        g[:, 1] = shear * x[:, 0] / 2
         self.g.x.array[:] = share * self.units.length * g.ravel()
 
 
@@ -158,13 +168,17 @@ def values(rng: np.random.Generator, kind: Kind) -> dict[str, float]:
 
 def solve(body: Body, *, path: bool) -> tuple[list[int], list[int], np.ndarray]:
     """Return the Newton steps and linear iterations of all solves, and u over the length."""
-    problem, state = body.problem, [body.u, *body.fields]
+    problem = body.problem
+    state = [body.u, *body.fields]
     t = body.units.time
     if body.motion is not None:
         body.motion.velocity.x.array[:] = 0.0
         body.motion.acceleration.x.array[:] = 0.0
         lengths = TimeSteps(first=0.3 * t, least=0.01 * t)
-        load = lambda time: body.load(min(1.0, time / t))  # noqa: E731
+
+        def load(time):
+            body.load(min(1.0, time / t))
+
         steps = follow_time(problem, body.motion, load, [0.9 * t], lengths, state=state)
     elif path:
         steps = follow_load(problem, body.load, [1.0], Steps(first=0.3, least=0.01), state=state)
@@ -183,7 +197,8 @@ def test_law_of_units(name):
     rng = np.random.default_rng(list(name.encode()))
     body = Body(KINDS[name])
     for number in range(ALONE if COMM.size == 1 else TOGETHER):
-        own, path = values(rng, KINDS[name]), bool(number % 2)
+        own = values(rng, KINDS[name])
+        path = bool(number % 2)
         other = Units(*(10.0 ** rng.uniform([-12, -6, -3], [12, 6, 3])))
         found = []
         for units in (Units(), other):
@@ -202,14 +217,16 @@ def test_law_of_units(name):
 
 
 #: Length over that of the unit, and E over the pressure: 3 % above that of the limit point.
-LONG, SOFT = 4.0, 24.0
+LONG = 4.0
+SOFT = 24.0
 
 
 def inflate(stiffness: float, unit: float, first: float) -> tuple[list[LoadStep], float]:
     """Follow a pressure from rest to 1; return the load steps, and max |u| over the unit."""
     mesh = tube(COMM, around=16, along=16, length=LONG)
     x = mesh.geometry.x
-    r, height = np.hypot(x[:, 0], x[:, 1]), np.exp(-((x[:, 2] - LONG / 2) ** 2) / 0.3)
+    r = np.hypot(x[:, 0], x[:, 1])
+    height = np.exp(-((x[:, 2] - LONG / 2) ** 2) / 0.3)
     thin = INNER + 0.3 * (r - INNER)
     x[:, :2] *= ((thin + 0.4 * INNER * height * (1 + x[:, 0] / r) / 2) / r)[:, None]
     mesh.topology.create_connectivity(2, 3)
@@ -222,12 +239,15 @@ def inflate(stiffness: float, unit: float, first: float) -> tuple[list[LoadStep]
     )
     ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-    u, v, du = dolfinx.fem.Function(V), ufl.TestFunction(V), ufl.TrialFunction(V)
+    u = dolfinx.fem.Function(V)
+    v = ufl.TestFunction(V)
+    du = ufl.TrialFunction(V)
     ends = dolfinx.mesh.locate_entities_boundary(
         mesh, 2, lambda x: np.isclose(x[2], 0.0) | np.isclose(x[2] / unit, LONG)
     )
     bcs = [dolfinx.fem.dirichletbc(np.zeros(3), dolfinx.fem.locate_dofs_topological(V, 2, ends), V)]
-    p, E = dolfinx.fem.Constant(mesh, 0.0), dolfinx.fem.Constant(mesh, 1.0)
+    p = dolfinx.fem.Constant(mesh, 0.0)
+    E = dolfinx.fem.Constant(mesh, 1.0)
     F = ufl.Identity(3) + ufl.grad(u)
     J = ufl.det(F)
     psi = E * ((ufl.inner(F, F) - 3 - 2 * ufl.ln(J)) / 6 + ufl.ln(J) ** 2 / 2)
@@ -266,7 +286,8 @@ def test_published_beam():
     """The z [mm] of P2–P0 at the end of the beam of Land et al. (2015), by the number of dofs."""
     page = (Path(__file__).parents[2] / "docs/beam.md").read_text(encoding="utf-8")
     body = beam(kappa=1000.0, cells=(20, 2, 2))
-    u, V = body.u, body.u.function_space
+    u = body.u
+    V = body.u.function_space
 
     def set_load(value: float) -> None:
         body.load.value = value

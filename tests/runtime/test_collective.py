@@ -9,17 +9,30 @@ import errno
 import re
 import weakref
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 import pytest
 from collective import COMM, agree, raises
 
-from dolfinx_feti.runtime.collective import join, on_all, on_first, reason, total, total_of, warn
+from dolfinx_feti.runtime.collective import (
+    DeferredErrors,
+    allgather_rows,
+    error_message,
+    on_all,
+    on_first,
+    on_root,
+    reason,
+    total,
+    total_of,
+    warn,
+)
 
 
 def test_sums_leave_the_process_its_own():
     own = np.arange(6.0).reshape(2, 3).T * (COMM.rank + 1)
-    before, ranks = own.copy(), sum(range(1, COMM.size + 1))
+    before = own.copy()
+    ranks = sum(range(1, COMM.size + 1))
     found = total_of(own, COMM)
     agree(np.array_equal(own, before) and found.shape == (3, 2))
     agree(np.allclose(found, np.arange(6.0).reshape(2, 3).T * ranks))
@@ -28,8 +41,8 @@ def test_sums_leave_the_process_its_own():
 
 def test_all_have_the_result_of_the_first_or_their_own():
     ranks: list[int] = []
-    agree(on_first(lambda: (ranks.append(COMM.rank), "done")[1], COMM) == "done")
-    agree(ranks == [0] * (COMM.rank == 0), ranks)
+    agree(on_root(lambda: (ranks.append(COMM.rank), "done")[1], COMM) == "done")
+    agree(ranks == ([0] if COMM.rank == 0 else []))
     agree(on_all(lambda: COMM.rank, COMM) == COMM.rank)
 
 
@@ -43,9 +56,9 @@ class StubbornError(Exception):
 @pytest.mark.parametrize(
     ("together", "fails", "error"),
     [
-        (on_first, True, ValueError("size = -1")),
-        (on_first, True, FileNotFoundError(errno.ENOENT, "No such file", "wall.msh")),
-        (on_first, COMM.rank == 0, StubbornError(1, 2)),
+        (on_root, True, ValueError("size = -1")),
+        (on_root, True, FileNotFoundError(errno.ENOENT, "No such file", "wall.msh")),
+        (on_root, COMM.rank == 0, StubbornError(1, 2)),
         (on_all, COMM.rank == 0, StubbornError(1, 2)),
         (on_all, COMM.rank == COMM.size - 1, OSError(errno.ENOSPC, "No space left", "state.bp")),
         (on_all, True, ValueError(f"on process {COMM.rank}")),
@@ -65,15 +78,45 @@ def test_one_that_fails_is_enough(together, fails, error):
 
 def test_result_that_cannot_be_sent():
     with raises(Exception, "lambda"):
-        on_first(lambda: lambda: None, COMM)
+        on_root(lambda: lambda: None, COMM)
+
+
+def test_deferred_errors_are_nan_until_they_are_raised():
+    """The first error is raised once; results without an error are returned as they are."""
+    errors = DeferredErrors()
+    agree(errors.guard(lambda: [1.0, 2.0], 2).tolist() == [1.0, 2.0])
+    errors.raise_first()
+    for message in ("first", "second"):
+        agree(np.isnan(errors.guard(partial(fail, message), (2, 3))).all())
+    with raises(ValueError, "first"):
+        errors.raise_first()
+    errors.raise_first()
+
+
+def fail(message: str) -> None:
+    raise ValueError(message)
+
+
+def test_deferred_errors_belong_to_their_object():
+    """Two solvers do not raise each other's errors."""
+    errors = DeferredErrors()
+    agree(np.isnan(errors.guard(partial(fail, "no"), 1)).all())
+    DeferredErrors().raise_first()
+    errors.clear()
+    errors.raise_first()
+
+
+def test_former_names_work():
+    agree(on_first is on_root and reason is error_message)
 
 
 def test_a_warning_is_logged_once(caplog):
     warn("too thin", COMM)
-    agree([record.message for record in caplog.records] == ["too thin"] * (COMM.rank == 0))
+    expected = ["too thin"] if COMM.rank == 0 else []
+    agree([record.message for record in caplog.records] == expected)
 
 
-@pytest.mark.parametrize("do", [on_all, on_first])
+@pytest.mark.parametrize("do", [on_all, on_root])
 def test_error_leaves_no_circle(without_collector, do):
     """What the work has made is freed as soon as the error is, without the collector."""
 
@@ -93,16 +136,16 @@ def test_error_leaves_no_circle(without_collector, do):
 
 
 def test_reason_is_one_line_and_never_empty():
-    agree(reason(ValueError("two\n  lines")) == "two lines")
-    agree(reason(AssertionError()) == "AssertionError")
-    agree(reason(OSError(errno.EACCES, "Permission denied", "file")) == "Permission denied")
+    agree(error_message(ValueError("two\n  lines")) == "two lines")
+    agree(error_message(AssertionError()) == "AssertionError")
+    agree(error_message(OSError(errno.EACCES, "Permission denied", "file")) == "Permission denied")
 
 
 @pytest.mark.parametrize("dtype", [float, int])
-def test_join(dtype):
-    """One after the other; who has none does not count, and there may be none at all."""
+def test_allgather_rows(dtype):
+    """Processes without rows are left out; there may be no rows at all."""
     own = np.full((COMM.rank, 2), COMM.rank, dtype=dtype)
-    joined = join(own if COMM.rank else [], COMM)
+    gathered = allgather_rows(own if COMM.rank else [], COMM)
     counts = np.repeat(np.arange(COMM.size), np.arange(COMM.size))
-    agree(np.array_equal(joined.reshape(-1, 2), np.column_stack([counts, counts])), joined)
-    agree(len(join([], COMM)) == 0)
+    agree(np.array_equal(gathered.reshape(-1, 2), np.column_stack([counts, counts])), gathered)
+    agree(len(allgather_rows([], COMM)) == 0)

@@ -25,33 +25,64 @@ from dolfinx_feti.scalars import (
     rigid_motions,
 )
 
-NAN, INF = float("nan"), float("inf")
-POSITIVE, FINITE = (0.0, -1.0, NAN, INF, "3"), (NAN, INF)
+NAN = float("nan")
+INF = float("inf")
+POSITIVE = (0.0, -1.0, NAN, INF, "3")
+FINITE = (NAN, INF)
 
 BALL = balloon(2)
-U, DS, MESH = BALL.u, BALL.ds(1), BALL.u.function_space.mesh
+U = BALL.u
+DS = BALL.ds(1)
+MESH = BALL.u.function_space.mesh
 V = ufl.TestFunction(U.function_space)
 SCALAR = dolfinx.fem.Function(dolfinx.fem.functionspace(MESH, ("Lagrange", 1)))
 ONE, TWO = (dolfinx.fem.Constant(MESH, np.zeros(shape)) for shape in ((), (2,)))
-DX, C = ufl.Measure("dx", MESH), U[0] * ufl.Measure("dx", MESH)
+DX = ufl.Measure("dx", MESH)
+C = U[0] * ufl.Measure("dx", MESH)
 
 #: A call, the arguments that are right, and the wrong values of some.
 TABLE = [
-    (Cavity, {"u": U, "ds": DS}, {
-        "u": (SCALAR,), "ds": (None, DX, BALL.ds(7)), "volume": POSITIVE, "pressure": FINITE,
-        "axis": ((0, 0, 0), (0, 0, NAN), (0, 1))}),
-    (Windkessel, {"cavity": Cavity(U, DS), "resistance": 1.0, "compliance": 1.0}, {
-        "cavity": (U, Cavity(U, DS, volume=1.0)), "resistance": POSITIVE, "compliance": POSITIVE,
-        "impedance": (-1.0, NAN, INF), "inflow": FINITE, "venous_pressure": FINITE,
-        "distal_pressure": FINITE}),
-    (ArcLength, {"u": U}, {
-        "load": (3.0, TWO, *(dolfinx.fem.Constant(MESH, value) for value in FINITE))}),
+    (
+        Cavity,
+        {"u": U, "ds": DS},
+        {
+            "u": (SCALAR,),
+            "ds": (None, DX, BALL.ds(7)),
+            "volume": POSITIVE,
+            "pressure": FINITE,
+            "axis": ((0, 0, 0), (0, 0, NAN), (0, 1)),
+        },
+    ),
+    (
+        Windkessel,
+        {"cavity": Cavity(U, DS), "resistance": 1.0, "compliance": 1.0},
+        {
+            "cavity": (U, Cavity(U, DS, volume=1.0)),
+            "resistance": POSITIVE,
+            "compliance": POSITIVE,
+            "impedance": (-1.0, NAN, INF),
+            "inflow": FINITE,
+            "venous_pressure": FINITE,
+            "distal_pressure": FINITE,
+        },
+    ),
+    (
+        ArcLength,
+        {"u": U},
+        {"load": (3.0, TWO, *(dolfinx.fem.Constant(MESH, value) for value in FINITE))},
+    ),
     (mean_value, {"u": U}, {"value": (*FINITE, "3", ufl.as_vector([1.0, 2.0]))}),
     (rigid_motions, {}, {"u": (SCALAR,)}),
-    (ScalarEquation, {"unknown": ONE, "equations": (C,)}, {
-        "unknown": (3.0, TWO, SCALAR), "equations": ((), (C, C), (0,), (V[0] * DX,)),
-        "work": (C,)}),
-]  # fmt: skip
+    (
+        ScalarEquation,
+        {"unknown": ONE, "equations": (C,)},
+        {
+            "unknown": (3.0, TWO, SCALAR),
+            "equations": ((), (C, C), (0,), (V[0] * DX,)),
+            "work": (C,),
+        },
+    ),
+]
 
 
 @wrong_values(TABLE)
@@ -65,7 +96,7 @@ def vessels(cavity: Cavity) -> Windkessel:
 
 
 def free(ball):
-    """Leave the rim in one plane of symmetry free."""
+    """Remove the condition of the rim in one plane of symmetry."""
     del ball.bcs[1]
     return [balloon_cavity(ball)]
 
@@ -81,9 +112,11 @@ UNFIT = {
     "another axis": (tube, lambda t: [Cavity(t.u, t.ds(1), 1.0, axis=(0, 1, 0))], "open"),
     "twice": (balloon, lambda ball: [balloon_cavity(ball), balloon_cavity(ball)], "same facets"),
     "two Windkessels": (
-        balloon, lambda ball: [vessels(Cavity(ball.u, ball.ds(1))) for _ in range(2)], "same facets"
+        balloon,
+        lambda ball: [vessels(Cavity(ball.u, ball.ds(1))) for _ in range(2)],
+        "same facets",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("kind", "make", "message"), UNFIT.values(), ids=UNFIT)
@@ -97,7 +130,8 @@ def means(*values):
     """Return the means of the first component with these values, by multipliers on all of u."""
 
     def make(u):
-        dx, v = ufl.Measure("dx", u.function_space.mesh), ufl.TestFunction(u.function_space)
+        dx = ufl.Measure("dx", u.function_space.mesh)
+        v = ufl.TestFunction(u.function_space)
         for value in values:
             λ = dolfinx.fem.Constant(u.function_space.mesh, np.float64(0.0))
             yield ScalarEquation(λ, ((u - value) * dx,), λ * v * dx)
@@ -107,13 +141,15 @@ def means(*values):
 
 def one_unknown(u):
     """Return two equations for one unknown."""
-    λ, v = dolfinx.fem.Constant(u.function_space.mesh, 0.0), ufl.TestFunction(u.function_space)
+    λ = dolfinx.fem.Constant(u.function_space.mesh, 0.0)
+    v = ufl.TestFunction(u.function_space)
     yield from (ScalarEquation(λ, (u[i] * ufl.dx,), λ * v[i] * ufl.dx) for i in range(2))
 
 
 def no_dof(u):
     """Return an equation without an unknown in it."""
-    λ, dx = dolfinx.fem.Constant(u.function_space.mesh, 0.0), ufl.dx(u.function_space.mesh)
+    λ = dolfinx.fem.Constant(u.function_space.mesh, 0.0)
+    dx = ufl.dx(u.function_space.mesh)
     yield ScalarEquation(λ, (dolfinx.fem.Constant(u.function_space.mesh, 1.0) * dx,))
 
 
@@ -122,11 +158,13 @@ DEPENDENT = {
     "the same twice": (poisson, means(0.0, 0.0), r"equations \[0, 1\] depend on each other"),
     "a contradiction": (poisson, means(0.0, 1.0), r"equations \[0, 1\] depend on each other"),
     "all motions twice": (
-        elasticity, lambda u: [rigid_motions(u), mean_value(u)], "equations .* depend on each other"
+        elasticity,
+        lambda u: [rigid_motions(u), mean_value(u)],
+        "equations .* depend on each other",
     ),
     "one unknown": (elasticity, one_unknown, r"unknowns \[0, 1\] depend on each other"),
-    "no dof": (elasticity, no_dof, r"equations \[0\] neither depend on a dof"),
-}  # fmt: skip
+    "no dof": (elasticity, no_dof, r"equations \[0\] depend neither on a free dof"),
+}
 
 
 @pytest.mark.parametrize(("kind", "make", "message"), DEPENDENT.values(), ids=DEPENDENT)

@@ -28,7 +28,9 @@ def inflate(ball, stretches, **options):
     """Return the pressure at each stretch, and the Newton steps."""
     cavity = balloon_cavity(ball)
     rest = cavity.present_volume()
-    problem, pressures, steps = ball.problem([cavity], **options), [], 0
+    problem = ball.problem([cavity], **options)
+    pressures = []
+    steps = 0
     for stretch in stretches:
         cavity.volume.value = rest * stretch**3
         problem.solve()
@@ -90,7 +92,7 @@ def test_volumes_without_a_solution():
             problem.solve()
     fixed = dirichlet(ball.u.function_space, lambda x: np.linalg.norm(x, axis=0) < 1.01)
     problem = replace(ball, bcs=[*ball.bcs, fixed]).problem([balloon_cavity(ball, 1.1)])
-    with raises(ValueError, "neither depend on a dof of u that is free"):
+    with raises(ValueError, "depend neither on a free dof of u"):
         problem.solve()
     outer = body(ball.u.function_space.mesh, [], [lambda x: np.linalg.norm(x, axis=0) > 1.09])
     with raises(ValueError, "not positive: give the inner surface"):
@@ -111,7 +113,8 @@ def test_the_same_by_arc_length():
         quadrature_degree=4,
         scalars=[arc],
     )
-    volume, curve = Cavity(ball.u, ball.ds(1)), []
+    volume = Cavity(ball.u, ball.ds(1))
+    curve = []
     rest = volume.present_volume()
 
     def look(step):

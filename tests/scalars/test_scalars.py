@@ -38,7 +38,8 @@ def null_space_solution(free, b_form):
 
 def twisted(V):
     """Return a load without resultant and moment: opposite tractions on two faces."""
-    x, v = ufl.SpatialCoordinate(V.mesh), ufl.TestFunction(V)
+    x = ufl.SpatialCoordinate(V.mesh)
+    v = ufl.TestFunction(V)
     force = ufl.as_vector([x[1] - 0.5, x[0] - 0.5, 0.0])
     return ufl.inner(force, v) * ufl.dx
 
@@ -86,16 +87,23 @@ def test_several_floating_bodies(form, clamped):
     """Each floats alone, perhaps beside a clamped one; a load that is not balanced is returned."""
     mesh, dx = two_blocks()
     block = elasticity(mesh, clamped=left if clamped else None)
-    u, v = dolfinx.fem.Function(block.V), ufl.TestFunction(block.V)
-    x, force = ufl.SpatialCoordinate(mesh), np.array([0.0, 0.0, 0.1])
+    u = dolfinx.fem.Function(block.V)
+    v = ufl.TestFunction(block.V)
+    x = ufl.SpatialCoordinate(mesh)
+    force = np.array([0.0, 0.0, 0.1])
     L = ufl.inner(dolfinx.fem.Constant(mesh, force), v) * dx
     for k, middle in ((1, 0.5), (2, 2.5)):
         L += (x[0] - middle) * v[0] * dx(k)  # in balance
     held = [rigid_motions(u, dx(k)) for k in ((2,) if clamped else (1, 2))]
     LinearProblem(
-        block.a, L, bcs=block.bcs, u=u, subdomains=6, scalars=held,
+        block.a,
+        L,
+        bcs=block.bcs,
+        u=u,
+        subdomains=6,
+        scalars=held,
         petsc_options=EXACT | {"feti_formulation": form},
-    ).solve()  # fmt: skip
+    ).solve()
     equal(held[-1].unknown.value[:3], force, 1e-8)
     for motions in held:
         missed = [dolfinx.fem.assemble_scalar(dolfinx.fem.form(c)) for c in motions.equations]
@@ -182,18 +190,26 @@ def test_scalars_on_a_real_space():
     for kind in ("cavity", "blocks", "Lagrangian"):
         ball = balloon(2)
         cavity = balloon_cavity(ball, 1.15)
-        energy, V = compressible(ball), ball.u.function_space
+        energy = compressible(ball)
+        V = ball.u.function_space
         R = scifem.create_real_functionspace(V.mesh)
-        s, t = dolfinx.fem.Function(R), ufl.TestFunction(R)
+        s = dolfinx.fem.Function(R)
+        t = ufl.TestFunction(R)
         (c,) = cavity.equation.equations
         if kind == "cavity":
-            F, u, scalars = energy, ball.u, [cavity]
+            F = energy
+            u = ball.u
+            scalars = [cavity]
         elif kind == "blocks":
             v = ufl.TestFunction(V)
             F_u = ufl.derivative(energy - times(cavity.form, s), ball.u, v)
-            F, u, scalars = [F_u, times(c, t)], [ball.u, s], []
+            F = [F_u, times(c, t)]
+            u = [ball.u, s]
+            scalars = []
         else:
-            F, u, scalars = energy - times(c, s), [ball.u, s], []
+            F = energy - times(c, s)
+            u = [ball.u, s]
+            scalars = []
         problem = NonlinearProblem(
             F, u, bcs=ball.bcs, subdomains=4, scalars=scalars, petsc_options=EXACT
         )
@@ -210,8 +226,10 @@ def test_pure_neumann_poisson_on_a_real_space():
     scifem = pytest.importorskip("scifem")
     free = poisson(cube(2, 8), clamped=None)
     R = scifem.create_real_functionspace(free.V.mesh)
-    u, s = dolfinx.fem.Function(free.V), dolfinx.fem.Function(R)
-    v, t = ufl.TestFunction(free.V), ufl.TestFunction(R)
+    u = dolfinx.fem.Function(free.V)
+    s = dolfinx.fem.Function(R)
+    v = ufl.TestFunction(free.V)
+    t = ufl.TestFunction(R)
     f = (ufl.cos(ufl.pi * ufl.SpatialCoordinate(free.V.mesh)[0]) + 0.3) * v * ufl.dx
     a = ufl.replace(free.a, {free.a.arguments()[1]: u})
     F = [a - f + s * v * ufl.dx, (u - 0.7) * t * ufl.dx]
@@ -223,8 +241,67 @@ def test_pure_neumann_poisson_on_a_real_space():
         free.a, f, u=w, subdomains=6, scalars=[mean_value(w, 0.7)], petsc_options=EXACT
     ).solve()
     equal(owned(u), owned(w), 1e-8)
-    with raises(ValueError, r"give them by scalars=, or .*Problem\(\[F_u, F_s\], \[u, s\]\)"):
+    q = ufl.TrialFunction(R)
+    z = free.a.arguments()[1]
+    a = [[free.a, q * v * ufl.dx], [z * t * ufl.dx, None]]
+    L = [f, 0.7 * t * ufl.dx(free.V.mesh)]
+    for order in (1, -1):
+        blocks = [row[::order] for row in a[::order]], L[::order]
+        linear = LinearProblem(*blocks, subdomains=6, petsc_options=EXACT)
+        found = linear.solve()
+        equal(owned(found[::order][0]), owned(w), 1e-8)
+        small(abs(found[::order][1].x.array[0] - 0.3), 1e-9)
+    with raises(ValueError, "There are 2 unknowns: give a as 2 × 2 blocks"):
         LinearProblem(free.a, f, u=[w, s])
+
+
+@pytest.mark.parametrize("shape", [(), (2,)], ids=["scalar", "vector"])
+def test_blocks_of_the_tangent_in_scalars_are_used(shape):
+    """The force of the scalars, s + s³, comes from outside of UFL: the user's J has its derivative.
+
+    The steps are those with the force in F.
+    """
+    scifem = pytest.importorskip("scifem")
+    mesh = cube(2, 6)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, shape))
+    R = scifem.create_real_functionspace(mesh, shape)
+    v, t, du, ds = (make(W) for make in (ufl.TestFunction, ufl.TrialFunction) for W in (V, R))
+    force = dolfinx.fem.Constant(mesh, np.zeros(shape))
+    load = ufl.SpatialCoordinate(mesh)[0] * (v[1] if shape else v) * ufl.dx
+    common = {"subdomains": 4, "petsc_options": EXACT}
+
+    def solved(outside):
+        u = dolfinx.fem.Function(V, name="u")
+        s = dolfinx.fem.Function(R, name="s")
+        cubes = ufl.as_vector([a**3 for a in s]) if shape else s**3
+        inside = s + cubes
+
+        def update(_):
+            values = s.x.array[: force.value.size].reshape(shape)
+            force.value = values + values**3
+
+        F_u = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx - load
+        F_u += ufl.inner(u, u) * ufl.inner(u, v) * ufl.dx
+        F_u += ufl.inner(force if outside else inside, v) * ufl.dx
+        F_s = ufl.inner(u, t) * ufl.dx + 0.1 * ufl.inner(cubes, t) * ufl.dx
+        F_s -= 0.05 * (sum(t) if shape else t) * ufl.dx(mesh)
+        if not outside:
+            problem = NonlinearProblem([F_u, F_s], [u, s], **common)
+        else:
+            column = ufl.derivative(ufl.inner(inside, v) * ufl.dx, s, ds)
+            J = [
+                [ufl.derivative(F_u, u, du), column],
+                [ufl.derivative(F_s, u, du), ufl.derivative(F_s, s, ds)],
+            ]
+            problem = NonlinearProblem([F_u, F_s], [u, s], J=J, before_assembly=update, **common)
+        problem.solve()
+        return owned(u), s.x.array.copy(), len(problem.history)
+
+    u, s, steps = solved(outside=True)
+    expected_u, expected_s, expected_steps = solved(outside=False)
+    equal(u, expected_u, 1e-8)
+    equal(s, expected_s, 1e-8)
+    agree(steps == expected_steps and steps > 2, (steps, expected_steps))
 
 
 def test_residuals_belong_to_scalars_by_their_spaces():
@@ -234,11 +311,14 @@ def test_residuals_belong_to_scalars_by_their_spaces():
     R1, R2 = (scifem.create_real_functionspace(mesh, shape) for shape in ((), (2,)))
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     u, m, s = (dolfinx.fem.Function(W, name=n) for W, n in ((V, "u"), (R2, "m"), (R1, "s")))
-    (v, t2, t1), x = map(ufl.TestFunction, (V, R2, R1)), ufl.SpatialCoordinate(mesh)
+    (v, t2, t1) = map(ufl.TestFunction, (V, R2, R1))
+    x = ufl.SpatialCoordinate(mesh)
     F_u = ufl.inner(ufl.grad(u), ufl.grad(v)) + ufl.dot(m, v) + s * (x[1] * v[0] - x[0] * v[1])
-    F_m, F_s = ufl.dot(u, t2), (x[1] * u[0] - x[0] * u[1] - 0.1) * t1
+    F_m = ufl.dot(u, t2)
+    F_s = (x[1] * u[0] - x[0] * u[1] - 0.1) * t1
     F_u, F_m, F_s = (form * ufl.dx for form in (F_u, F_m, F_s))
-    found, common = [], {"subdomains": 4, "petsc_options": EXACT}
+    found = []
+    common = {"subdomains": 4, "petsc_options": EXACT}
     for F in ([F_u, F_m, F_s], [F_u, F_s, F_m], [F_s, F_u, F_m]):
         for f in (u, m, s):
             f.x.array[:] = 0.0
@@ -247,7 +327,7 @@ def test_residuals_belong_to_scalars_by_their_spaces():
     agree(np.abs(found[0]).min() > 1e-3, found)
     for other in found[1:]:
         equal(other, found[0], 1e-8)
-    with raises(ValueError, "0 residuals tested in the space of the scalar 'm', which 1 scalars"):
+    with raises(ValueError, "0 residuals tested in the space of the scalar 'm', but 1 scalars"):
         NonlinearProblem([F_u, F_s, F_s], [u, m, s], **common)
     with raises(ValueError, "1 residuals tested in real spaces for 2 scalars: give one for each"):
         NonlinearProblem([F_u, F_m], [u, m, s], **common)
@@ -260,12 +340,12 @@ def test_scalars_do_not_meet_condensed_fields():
     dx = ufl.Measure("dx", octant.u.function_space.mesh)
     v, q = (ufl.TestFunction(f.function_space) for f in (octant.u, octant.p))
     mean = ScalarEquation(one, ((octant.p - 1.0) * dx,), one * ufl.div(v) * dx)
-    with raises(ValueError, r"scalars\[0\] holds the condensed field p"):
+    with raises(ValueError, r"scalars\[0\] contains the condensed field p"):
         octant.problem([mean])
     volume = ScalarEquation(one, (ufl.div(octant.u) * dx,), one * ufl.div(v) * dx)
     residuals = [ufl.derivative(octant.energy, f, w) for f, w in ((octant.u, v), (octant.p, q))]
     residuals[1] += one * q * dx
-    with raises(ValueError, r"condensed field p holds scalars\[0\]"):
+    with raises(ValueError, r"condensed field p contains scalars\[0\]"):
         NonlinearProblem(
             residuals, octant.u, bcs=octant.bcs, condense=octant.p, scalars=[volume], subdomains=6
         )

@@ -40,7 +40,7 @@ def test_own_python_is_used_and_nothing_installed(machine: Machine) -> None:
     words = ("sh", "-c", script, "sh", "two words", "", "'\"$HOME")
     result = machine.run(*words, text="typed", PYTHONPATH="/mine")
     assert (result.returncode, result.stderr) == (7, "")
-    here = f"{machine.checkout}\n{machine.checkout}:/mine\n"
+    here = f"{machine.folder}\n{machine.checkout}:/mine\n"
     assert result.stdout == f"{here}[two words][]['\"$HOME]typed"
     calls = (machine.folder / "calls").read_text().splitlines()
     assert {line.split()[0] for line in calls} == {"python3", "id"}
@@ -72,7 +72,8 @@ PYTHON = """
 VISITOR = {"id": "echo 1000", "cc": "", "python3": PYTHON}
 NO_PYTHON = 'case "$*" in *ensurepip*|*check*) exit 1 ;; esac'
 NO_ROUTE = PYTHON.replace("exit 0", "echo ERROR: no route; exit 1")
-NO_VENV, PIP = "cannot set up a virtual environment: .*", {"FENICSX_SUITE": "pip"}
+NO_VENV = "cannot set up a virtual environment: .*"
+PIP = {"FENICSX_SUITE": "pip"}
 
 #: Programs played or, if None, taken away; variables; and what is said.
 FAILURES = {
@@ -139,7 +140,7 @@ def test_missing_debootstrap_is_installed(machine: Machine) -> None:
 
 
 def test_tree_is_made_once_from_the_machines_mirror(machine: Machine) -> None:
-    """And anew when the list of packages has changed; its MPI gets parameters of its own."""
+    """Also installed again after a change of the list of packages; its MPI has its parameters."""
     first = machine.run("sh", "-c", "exit 7")
     assert first.returncode == 7
     assert "base system" in first.stderr
@@ -149,7 +150,7 @@ def test_tree_is_made_once_from_the_machines_mirror(machine: Machine) -> None:
     assert parameters.read_text().split("\n") == ["osc = old", "", "btl = self,sm", ""]
     second = machine.run("pwd")
     assert (second.returncode, second.stderr) == (0, "")
-    assert second.stdout == f"{machine.checkout}\n"
+    assert second.stdout == f"{machine.folder}\n"  # of the caller
     assert len(machine.calls("debootstrap")) == 1
     with (machine.checkout / "scripts/debian-packages").open("a") as packages:
         packages.write("apt another\n")
@@ -208,7 +209,7 @@ def test_own_python_has_to_have_what_the_docs_need(machine: Machine) -> None:
 
 @pytest.fixture
 def visitor(machine: Machine) -> Machine:
-    """A machine on which nobody is root, with Python and a compiler."""
+    """A machine without root access, with Python and a compiler."""
     for tool, body in VISITOR.items():
         machine.play(tool, body)
     return machine

@@ -57,7 +57,7 @@ def run(*command: str | Path, cwd: Path) -> str:
 
 
 def build(kind: str, source: Path, out: Path) -> Path:
-    """Let the build back end make a sdist or a wheel; return its file."""
+    """Build a sdist or a wheel with the back end; return its file."""
     code = f"from setuptools import build_meta; print(build_meta.build_{kind}({str(out)!r}))"
     out.mkdir(exist_ok=True)
     return out / run(sys.executable, "-c", code, cwd=source).splitlines()[-1]
@@ -101,7 +101,7 @@ def test_wheel_holds_the_package_alone(wheel):
 
 
 def test_wheel_serves_where_there_is_no_checkout(wheel, tmp_path):
-    """In a folder of its own: a virtual environment would not find MPI beside its parent."""
+    """In a separate folder: a virtual environment would not find the MPI of its parent."""
     offline = ("--no-deps", "--no-index", "--no-build-isolation")
     run(sys.executable, "-m", "pip", "install", *offline, "--target", "it", wheel, cwd=tmp_path)
     code = f"import sys; sys.path.insert(0, {str(tmp_path / 'it')!r}){USE}"
@@ -114,7 +114,7 @@ def test_without_dolfinx_one_message_opens_each_door(lacking):
     command = [sys.executable, "-c", code]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     message = result.stderr[result.stderr.rindex("ImportError: ") :]
-    for door in "dolfinx_feti[wheel]", "conda install", "docker run", "apt install":
+    for door in '".[wheel]"', "conda install", "docker run", "apt install":
         assert message.count(door) == 1
     assert lacking in message
 
@@ -133,7 +133,7 @@ def test_dependencies_are_what_the_package_imports():
     names = {name.split(".")[0] for name in found}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     with_dolfinx = {"basix", "dolfinx", "ffcx", "petsc4py", "ufl"}
-    at_choice = {"matplotlib", "mpl_toolkits", "pypardiso"}
+    at_choice = {"matplotlib", "pypardiso", "pyvista"}
     own = {"dolfinx_feti", *sys.stdlib_module_names}
     assert names - own - at_choice == names_of(project["dependencies"]) | with_dolfinx
     assert all(">=" in need for need in project["dependencies"])

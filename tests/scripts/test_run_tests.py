@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""`scripts/run_tests.py` on small suites of its own, and what the Makefile's targets run."""
+"""`scripts/run_tests.py` on small suites, and the commands of the Makefile's targets."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ comm = MPI.COMM_WORLD
 
 
 def run(folder: Path, suite: str, np: int = 2, **variables: str) -> subprocess.CompletedProcess:
-    """Run a suite in a checkout of its own; nothing of the MPI around this test may reach it."""
+    """Run a suite in a separate checkout, without the MPI environment of this test."""
     (folder / "scripts").mkdir()
     (folder / "tests").mkdir()
     script = shutil.copy(ROOT / "scripts/run_tests.py", folder / "scripts")
@@ -164,8 +164,10 @@ def test_hooks_before_a_commit_are_the_tools_of_make_lint(tmp_path):
     linted = re.findall(r"^scripts/with-fenicsx .*$", commands(tmp_path, "lint", 2), re.M)
     config = (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8")
     hooks = re.findall(r"^ +entry: (.*)$", config, re.M)
-    assert [" ".join(line.split()[: len(hook.split())]) for line, hook in
-            zip(linted, hooks, strict=True)] == hooks  # fmt: skip
+    assert [
+        " ".join(line.split()[: len(hook.split())])
+        for line, hook in zip(linted, hooks, strict=True)
+    ] == hooks
     *_, scripts = re.findall(r"^ +files: (.*)$", config, re.M)
     named = linted[-1].split()[2:]
     assert len(named) >= 3

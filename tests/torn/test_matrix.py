@@ -14,10 +14,11 @@ import scipy.sparse
 from collective import COMM, agree, dense, equal, raises, whole
 
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.runtime.connectivity import block_graph, diagonal_places, is_symmetric
 from dolfinx_feti.runtime.petsc_library import Rows
+from dolfinx_feti.torn.connectivity import block_graph, diagonal_places
 from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed
-from dolfinx_feti.torn.rounding import EPS, product_rounding
+from dolfinx_feti.torn.rounding import EPS, product_rounding_squares
+from dolfinx_feti.torn.symmetry import is_symmetric
 
 SEED = 60914
 
@@ -29,7 +30,7 @@ def read(torn_grid, lifetime):
     def create(*arguments, **options):
         problem = torn_grid(*arguments, **options)
         torn = lifetime.own(Torn(problem.A))
-        return problem, torn, slice(torn.start, torn.start + torn.n)
+        return problem, torn, slice(torn.first_torn_dof, torn.first_torn_dof + torn.n)
 
     return create
 
@@ -41,27 +42,47 @@ def test_torn_matrix_acts_as_the_assembled_one(read, subdomains, cells, componen
     """Its parts T, K and Tᵀ are those made by hand, for vectors and columns."""
     problem, torn, mine = read(subdomains, cells, components=components)
     rng = np.random.default_rng(SEED)
-    x, t = rng.standard_normal(len(problem.dirichlet)), rng.standard_normal(len(problem.to_global))
-    x_vec, y_vec = problem.vector(x), problem.A.createVecLeft()
+    x = rng.standard_normal(len(problem.dirichlet))
+    t = rng.standard_normal(len(problem.to_global))
+    x_vec = problem.vector(x)
+    y_vec = problem.A.createVecLeft()
     problem.A.mult(x_vec, y_vec)
     equal(whole(y_vec.array_r), problem.matrix @ x, 1e-13)
     equal(dense(problem.A.convert("aij", PETSc.Mat())), problem.matrix, 1e-13)
     equal(whole(torn.tear(x_vec.array_r)), problem.T @ x)
     equal(whole(torn.assemble(t[mine])), problem.T.T @ t, 1e-14)
     equal(whole(torn.multiplicity()), problem.T.sum(axis=0).astype(int))
-    equal(whole(torn.dirichlet), problem.dirichlet[problem.to_global])
-    equal(whole(torn.prescribed), problem.dirichlet)
+    equal(whole(torn.dirichlet_copies), problem.dirichlet[problem.to_global])
+    equal(whole(torn.dirichlet_dofs), problem.dirichlet)
     for columns in ((), (0,), (1,), (3,)):
         t = rng.standard_normal((len(problem.to_global), *columns))
         equal(whole(torn.multiply(t[mine])), problem.K_torn @ t, 1e-13)
         equal(whole(torn.multiply(t[mine], transpose=True)), problem.K_torn.T @ t, 1e-13)
 
 
+@pytest.mark.parametrize("wrong", [-1, 3, 10**6])
+def test_numbers_of_dofs_that_do_not_exist_are_refused(wrong, lifetime):
+    """On all processes, also if one process alone names such a number: PETSc would wait."""
+    K = lifetime.own(PETSc.Mat().createAIJ((2, 2), nnz=2, comm=PETSc.COMM_SELF))
+    K.setValues([0, 1], [0, 1], [2.0, -1.0, -1.0, 2.0])
+    K.assemble()
+    size = (3 if COMM.rank == 0 else 0, 3)
+    right = np.array([0, 1])
+    last = COMM.rank == COMM.size - 1
+    numbers = np.array([0, wrong]) if last else right
+    with raises(ValueError, f"torn_to_global has the number {wrong}, but .* are 0 … 2"):
+        create_torn_matrix(K, numbers, size, comm=COMM)
+    with raises(ValueError, f"dirichlet has the number {wrong}, but .* are 0 … 2"):
+        create_torn_matrix(K, right, size, comm=COMM, dirichlet=numbers)
+    with raises(ValueError, "torn_to_global has 1 numbers, but the local matrix has 2 rows"):
+        create_torn_matrix(K, right[:1] if last else right, size, comm=COMM)
+
+
 def test_gather_brings_copies_in_the_order_of_dofs(monkeypatch, read):
     """Without a name that mpi4py keeps to itself."""
     monkeypatch.delattr(MPI, "_typedict", raising=False)
     problem, torn, _ = read((2, 2), (2, 2))
-    gathered = whole(torn.gather(torn.start + np.arange(torn.n, dtype=np.float64)))
+    gathered = whole(torn.gather(torn.first_torn_dof + np.arange(torn.n, dtype=np.float64)))
     copies = np.split(gathered.astype(int), np.cumsum(problem.T.sum(axis=0).astype(int))[:-1])
     agree(
         all(sorted(c) == list(np.flatnonzero(problem.T[:, j])) for j, c in enumerate(copies)),
@@ -72,11 +93,12 @@ def test_gather_brings_copies_in_the_order_of_dofs(monkeypatch, read):
 def test_subdomains_are_the_blocks(read):
     """They and their dofs are numbered from process to process."""
     problem, torn, _ = read((3, 2), (2, 1), components=2)
-    counts, sizes = COMM.allgather(len(torn.subdomains)), COMM.allgather(torn.n)
+    counts = COMM.allgather(len(torn.subdomains))
+    sizes = COMM.allgather(torn.n)
     equal(COMM.allreduce([len(rows) for rows in torn.subdomains]), [len(K) for K in problem.K])
     agree(all(np.all(np.diff(rows) > 0) for rows in torn.subdomains))
-    agree(torn.first == sum(counts[: COMM.rank]) and sum(counts) == 6)
-    agree(torn.start == sum(sizes[: COMM.rank]) and sum(sizes) == len(problem.to_global))
+    agree(torn.first_subdomain == sum(counts[: COMM.rank]) and sum(counts) == 6)
+    agree(torn.first_torn_dof == sum(sizes[: COMM.rank]) and sum(sizes) == len(problem.to_global))
 
 
 @pytest.mark.parametrize("full", [True, False])
@@ -110,7 +132,7 @@ def test_dirichlet_dofs_may_be_named_by_any_process(torn_grid, lifetime):
     named = dofs if COMM.rank == COMM.size - 1 else dofs[:1]
     problem.A.compose("dirichlet", PETSc.IS().createGeneral(named.astype(PETSc.IntType), comm=COMM))
     torn = lifetime.own(Torn(problem.A))
-    equal(whole(torn.dirichlet), problem.dirichlet[problem.to_global])
+    equal(whole(torn.dirichlet_copies), problem.dirichlet[problem.to_global])
 
 
 def test_near_kernel_is_orthonormal_and_spans_the_modes(read):
@@ -141,7 +163,8 @@ def test_stiffness_is_the_diagonal_or_what_is_attached(read, lifetime):
     agree(diagonal.min() < 0.0)
     equal(torn.diagonal(), diagonal[mine])
     equal(torn.stiffness(), np.abs(diagonal[mine]))
-    weight, sizes = 1.0 + np.arange(torn.n), problem.A.getSizes()[0]
+    weight = 1.0 + np.arange(torn.n)
+    sizes = problem.A.getSizes()[0]
     to_global = problem.to_global[mine]
     A = lifetime.own(
         create_torn_matrix(problem.local, to_global, sizes, comm=COMM, stiffness=weight)
@@ -162,7 +185,7 @@ def test_coordinates_of_the_torn_dofs(components, read):
 
 @pytest.mark.parametrize("kappa", [1.0, 1e6])
 def test_skew_part_is_measured_entry_by_entry(kappa, lifetime):
-    """Against the diagonal of its own rows: beside κ it is nothing, and still not rounding."""
+    """Relative to the diagonal of its rows: negligible relative to κ, but not rounding."""
     rng = np.random.default_rng(SEED + 5)
     n = 30
     K = rng.standard_normal((n, n))
@@ -215,7 +238,8 @@ def test_form_tells_of_symmetry(torn_grid):
 
     problem = torn_grid((2, 2), (2, 2), change=skew)
     agree(not is_symmetric(problem.A))
-    K, lgmap = problem.A.getISLocalMat(), problem.A.getLGMap()[0]
+    K = problem.A.getISLocalMat()
+    lgmap = problem.A.getLGMap()[0]
     sizes = problem.A.getSizes()[0]
     for known in (True, False):
         A = create_torn_matrix(K, lgmap.getBlockIndices(), sizes, comm=COMM, symmetric=known)
@@ -238,7 +262,7 @@ def test_other_matrix_types_are_refused(lifetime):
 
 
 def test_condensed_pressures_are_noted(read):
-    """On the matrix, whoever holds it."""
+    """They are read from the matrix, whatever object refers to it."""
     problem, torn, _ = read((2, 2), (2, 2))
     agree(torn.pressures is None)
     set_condensed(problem.A, 7 * COMM.rank)
@@ -249,7 +273,7 @@ def test_condensed_pressures_are_noted(read):
 
 
 def test_places_of_the_diagonal():
-    """A row without a diagonal entry has none; columns may stand in any order."""
+    """A row without a diagonal entry has none; columns may be in any order."""
     K = scipy.sparse.random_array((60, 60), density=0.2, rng=SEED, format="csr")
     K.setdiag(np.arange(1.0, 61.0))
     K = scipy.sparse.csr_array(K)
@@ -271,5 +295,5 @@ def test_places_of_the_diagonal():
 def test_rounding_of_a_product(read):
     problem, torn, mine = read((2, 2), (3, 2), components=2)
     t = np.random.default_rng(SEED).standard_normal(len(problem.to_global))
-    found = whole(product_rounding(torn.K, t[mine]))
+    found = whole(product_rounding_squares(torn.K, t[mine]))
     equal(found / EPS**2, (problem.K_torn**2) @ t**2, 1e-13)

@@ -103,7 +103,8 @@ def test_cavities(read):
     (cavity,) = create_cavities(wall, u, case.cavities)
     equal([case.pressure, float(cavity.volume.value)], [0.0, 2000.0], 1e-12)
     case = read(CAVITY + VESSELS)
-    given, mmhg = case.cavities["lumen"].windkessel, loads.mmhg(1.0)
+    given = case.cavities["lumen"].windkessel
+    mmhg = loads.mmhg(1.0)
     equal([given["resistance"], given["compliance"]], [2e-3 * mmhg, 1e3 / mmhg], 1e-12)
     (windkessel,) = create_cavities(wall, u, case.cavities)
     agree(isinstance(windkessel, Windkessel) and windkessel.cavity.present_volume() > 0.0)
@@ -122,7 +123,7 @@ CAVITIES = [
     ('volume = 1\naxis = "r"', r"\[cavity.lumen\] axis = 'r': choose one of"),
     (VESSELS.replace('"2 mmHg s/ml"', "-1"), r"lumen.windkessel\] resistance = -1: give a pos"),
     (VESSELS.replace("compliance", "impedance"), r"impedance = '1 ml/mmHg': give a positive"),
-    ("windkessel = 3", "windkessel = 3: this is to be a table"),
+    ("windkessel = 3", "windkessel = 3: give a table"),
     ("[cavity.lumen.windkessel]\nresistance = 1", r"\[cavity.lumen\]: .*and perhaps an imp"),
     ("volume = 1\n[surfaces.lumen]\npressure = 1", r"\[surfaces.lumen\] pressure: leave it"),
 ]
@@ -147,7 +148,7 @@ CAVITIES = [
         ("c = 3.0", "", r"\[layers.media\] c is missing: give a positive"),
         ("c = 3.0", "c = 3.0\nk1 = 1.0", r"\[layers.media\] k2 is missing: fibres need k1, k2"),
         ("c = 3.0", "c = 3\nk1 = 1\nk2 = 1\nangle = 100", "angle = 100: .* from 0 to 90"),
-        (LAYERS, "layers = 3\n", "layers = 3: this is to be a table"),
+        (LAYERS, "layers = 3\n", "layers = 3: give a table"),
         (LAYERS, "", "name the layers of the wall"),
         ("mesh", "Mesh", "Mesh = .*no such key.*did you mean 'mesh'"),
         (f'"{EXAMPLE}"', "3", "mesh = 3: give a text"),

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from collective import agree, equal, raises
@@ -12,8 +14,19 @@ from ufl_values import scalar
 from wall_files import tube
 
 import dolfinx
+import ufl
 
-from dolfinx_feti.wall import Clamp, Dashpot, Pressure, Slide, Spring, apply_conditions, area
+from dolfinx_feti.wall import (
+    Clamp,
+    Condition,
+    Contribution,
+    Dashpot,
+    Pressure,
+    Slide,
+    Spring,
+    apply_conditions,
+    area,
+)
 
 LENGTH = 1.0
 
@@ -58,7 +71,8 @@ def test_clamps_and_slides_hold_their_nodes(quarter):
         quarter, u, {"opening_1": Clamp(), "opening_2": Slide(), "symmetry_x": [Slide()]}
     )
     x = u.function_space.tabulate_dof_coordinates()
-    below, above = np.isclose(x[:, 2], 0.0), np.isclose(x[:, 2], LENGTH)
+    below = np.isclose(x[:, 2], 0.0)
+    above = np.isclose(x[:, 2], LENGTH)
     side = np.isclose(x[:, 0], 0.0)
     expected = np.column_stack([below | side, below, below | above])
     agree(np.array_equal(held(boundary, u), expected))
@@ -90,12 +104,19 @@ def test_energy_of_springs_and_dashpots(wall):
 
     Dashpots have no energy in an infinite time step, nor where u is what it was.
     """
-    u, d, k, η, dt = displacement(wall), np.array([0.1, -0.2, 0.3]), 1.3, 0.7, 0.05
-    outer, end = [Spring(k, "all"), Dashpot(2 * η, "all")], [Dashpot(η), Spring(2 * k)]
+    u = displacement(wall)
+    d = np.array([0.1, -0.2, 0.3])
+    k = 1.3
+    η = 0.7
+    dt = 0.05
+    outer = [Spring(k, "all"), Dashpot(2 * η, "all")]
+    end = [Dashpot(η), Spring(2 * k)]
     boundary = apply_conditions(wall, u, {"outer": outer, "opening_2": end})
     translate(u, d)
-    outside, top = area(wall, "outer") * d @ d, area(wall, "opening_2") * d[2] ** 2
-    springs, dashpots = k / 2 * outside + k * top, η / dt * outside + η / (2 * dt) * top
+    outside = area(wall, "outer") * d @ d
+    top = area(wall, "opening_2") * d[2] ** 2
+    springs = k / 2 * outside + k * top
+    dashpots = η / dt * outside + η / (2 * dt) * top
     equal(scalar(boundary.energy), springs, 1e-12)
     boundary.time_step.value = dt
     equal(scalar(boundary.energy), springs + dashpots, 1e-12)
@@ -107,7 +128,8 @@ def test_energy_of_springs_and_dashpots(wall):
 def test_pressure_has_a_potential_where_its_rims_are_held(wall, quarter):
     """Clamped rims, or rims that slide along an axis; not free ones, nor ends on springs."""
     inside = {"lumen": Pressure()}
-    whole, part = displacement(wall), displacement(quarter)
+    whole = displacement(wall)
+    part = displacement(quarter)
     for ends, has in (
         ({"opening_1": Clamp(), "opening_2": Clamp()}, True),
         (ENDS, True),
@@ -139,7 +161,8 @@ def test_tangent_follows_from_the_rim_where_there_is_no_potential(tmp_path):
 
 def test_shares_of_the_pressure(wall):
     """The residual of a share is that share of the residual, and the outer one pushes back."""
-    u, v = displacement(wall), displacement(wall)
+    u = displacement(wall)
+    v = displacement(wall)
     translate(v, [0.0, 0.0, 1.0])
     v.x.array[:] *= u.function_space.tabulate_dof_coordinates().ravel()
     results = []
@@ -148,6 +171,39 @@ def test_shares_of_the_pressure(wall):
         boundary.pressure.value = 3.0
         results.append(scalar(boundary.residual, v) / share)
     equal(results, np.full(3, results[0]), 1e-12)
+
+
+# -- other kinds
+
+
+@dataclass(frozen=True, slots=True)
+class Tether(Condition):
+    """Springs along the axis z, as an energy or as a force without one."""
+
+    stiffness: float
+    has_potential: bool
+
+    def contribution(self, surface):
+        u = surface.unknowns.u
+        k = surface.constant(self.stiffness)
+        if self.has_potential:
+            return Contribution(energy=k / 2 * u[2] ** 2 * surface.ds)
+        return Contribution(residual=k * u[2] * ufl.TestFunction(surface.V)[2] * surface.ds)
+
+
+@pytest.mark.parametrize("has_potential", [True, False])
+def test_condition_of_another_kind(wall, has_potential):
+    """Residual and tangent follow from the energy, or from a residual; then there is no energy."""
+    u = displacement(wall)
+    d = displacement(wall)
+    translate(u, [0.1, -0.2, 0.3])
+    translate(d, [0.0, 0.0, 1.0])
+    boundary = apply_conditions(wall, u, {"outer": [Tether(2.0, has_potential), Spring(1.0)]})
+    agree((boundary.energy is not None) == has_potential)
+    spring = apply_conditions(wall, u, {"outer": Spring(1.0)})
+    outer = area(wall, "outer")
+    equal(scalar(boundary.residual, d), scalar(spring.residual, d) + 0.6 * outer, 1e-12)
+    equal(scalar(boundary.tangent, d, d), scalar(spring.tangent, d, d) + 2.0 * outer, 1e-12)
 
 
 # -- what is refused
@@ -161,6 +217,7 @@ def test_shares_of_the_pressure(wall):
         ({"outer": [Clamp(), Spring(1.0)]}, "'outer'.* holds a clamp and another condition"),
         ({"outer": [Spring(1.0), Spring(2.0)]}, "'outer'.* holds a condition twice"),
         ({"outer": ["spring"]}, "'outer'.* holds 'spring': give Pressure, Spring"),
+        ({"outer": "clamp"}, "'outer'.* holds 'clamp': give Pressure, Spring"),
         ({"outer": 3.0}, "'outer'.* holds 3.0: give Pressure, Spring"),
     ],
 )

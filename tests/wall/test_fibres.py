@@ -20,6 +20,9 @@ from wall_files import ROOT, centroids, on_first, tube
 import dolfinx
 import ufl
 
+from dolfinx_feti.meshes.tube import create_tube
+from dolfinx_feti.meshes.vessel import create_vessel
+from dolfinx_feti.meshes.wall_mesh import write_msh
 from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.wall import (
     Clamp,
@@ -33,9 +36,6 @@ from dolfinx_feti.wall import (
 )
 from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame, gradient, solve_laplace
 from dolfinx_feti.wall.wallfile import read_raw_wall
-from meshes.tube import create_tube
-from meshes.vessel import create_vessel
-from meshes.wall_mesh import write_msh
 
 EXAMPLE = ROOT / "meshes/example.msh"
 
@@ -63,7 +63,8 @@ def cylindrical(wall):
 
 def degrees(a, b):
     """Angles between unit vectors."""
-    sine, cosine = np.linalg.norm(np.cross(a, b), axis=1), np.sum(a * b, axis=1)
+    sine = np.linalg.norm(np.cross(a, b), axis=1)
+    cosine = np.sum(a * b, axis=1)
     return np.degrees(np.arctan2(sine, cosine))
 
 
@@ -91,9 +92,11 @@ def is_frame(frame):
 @pytest.mark.parametrize("scale", [1e-3, 1e-9, 1e6])
 def test_nothing_depends_on_the_unit_of_length(tmp_path, scale):
     """A wall in metres is as good as one in millimetres."""
-    path, mesh = tmp_path / "wall.msh", on_first(lambda: read_raw_wall(EXAMPLE))
+    path = tmp_path / "wall.msh"
+    mesh = on_first(lambda: read_raw_wall(EXAMPLE))
     on_first(lambda: write_msh(path, replace(mesh, points=scale * mesh.points)))
-    wall, same = read_wall(path, COMM), read_wall(EXAMPLE, COMM)
+    wall = read_wall(path, COMM)
+    same = read_wall(EXAMPLE, COMM)
     for name in same.surfaces:
         equal(area(wall, name) / scale**2, area(same, name), 1e-9)
     for e, expected in zip(*(directions(fibre_frame(w)) for w in (wall, same)), strict=True):
@@ -145,8 +148,12 @@ def test_slivers(tmp_path):
     z = wall.mesh.geometry.x[:, 2]
     step = np.diff(np.unique(np.round(whole(z), 9)))[0]
     z[np.isclose(z, 2.0 * step)] = step * (1.0 + FLATNESS)
-    ends, z_unit = {"opening_1": 0.0, "opening_2": 1.0}, [0.0, 0.0, 1.0]
-    with mock.patch.object(fibres, "DIRECT", fibres.OPTIONS), raises(ArithmeticError, "not solved"):
+    ends = {"opening_1": 0.0, "opening_2": 1.0}
+    z_unit = [0.0, 0.0, 1.0]
+    with (
+        mock.patch.object(fibres, "DIRECT_OPTIONS", fibres.OPTIONS),
+        raises(ArithmeticError, "not solved"),
+    ):
         solve_laplace(wall, ends)
     slope = gradient(solve_laplace(wall, ends))
     equal(slope, np.tile(z_unit, (len(slope), 1)), 1e3 * EPS / FLATNESS)
@@ -225,7 +232,8 @@ def vessel(tmp_path_factory):
 
 def test_the_same_on_one_process(vessel):
     """Each process computes the frame of the whole wall alone, too."""
-    alone, common = read_wall(vessel, MPI.COMM_SELF), read_wall(vessel, COMM)
+    alone = read_wall(vessel, MPI.COMM_SELF)
+    common = read_wall(vessel, COMM)
     frames = fibre_frame(alone), fibre_frame(common)
     is_frame(frames[1])
     for f, g in zip(*map(directions, frames), strict=True):

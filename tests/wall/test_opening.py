@@ -12,10 +12,10 @@ from wall_files import EXAMPLE
 
 import ufl
 
+from dolfinx_feti.meshes.bricks import create_brick_tube
 from dolfinx_feti.output import cell_values
 from dolfinx_feti.wall import Wall, read_wall
 from dolfinx_feti.wall.opening import Opening
-from meshes.bricks import create_brick_tube
 
 ANGLES = {"media": 120.0, "adventitia": 60.0}
 
@@ -45,9 +45,11 @@ def test_stretch_around_is_that_of_a_tube():
 
 def test_moved_and_closed(wall):
     """Curvatures go with the size of the wall; G keeps volumes, and is I without an angle."""
-    opening, x = Opening(wall, ANGLES), wall.mesh.geometry.x
+    opening = Opening(wall, ANGLES)
+    x = wall.mesh.geometry.x
     n = wall.mesh.topology.index_map(3).size_local
-    before, scale = opening.curvature.x.array[:n].copy(), 1.5
+    before = opening.curvature.x.array[:n].copy()
+    scale = 1.5
     equal(cell_values(ufl.det(opening.G), wall.mesh), np.ones(n), 1e-12)
     x *= scale
     opening.update()

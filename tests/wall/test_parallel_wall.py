@@ -22,11 +22,11 @@ from wall_files import ROOT, centroids, on_first
 import dolfinx
 import ufl
 
+from dolfinx_feti.meshes import walls
+from dolfinx_feti.meshes.bricks import create_brick_tube
+from dolfinx_feti.meshes.walls import open_wall
 from dolfinx_feti.wall import area, read_wall, write_wall, xdmf
 from dolfinx_feti.wall.wall import extent
-from meshes import walls
-from meshes.bricks import create_brick_tube
-from meshes.walls import open_wall
 
 #: The end of the light data's list: the largest layer, and how many cells each process has written.
 PARTS = re.compile(r"(parts&quot;: \[)[\d, ]*\]")
@@ -69,13 +69,16 @@ def test_what_is_written_is_read(tmp_path, order, tetrahedra):
 
 def test_parts_are_those_that_were_written(tmp_path):
     """As many processes as wrote a file have its parts again, however uneven they are."""
-    path, keep = COMM.bcast(tmp_path / "tube.xdmf"), xdmf._keep
+    path = COMM.bcast(tmp_path / "tube.xdmf")
+    keep = xdmf._partitioner_of_file
     wall = create_brick_tube(COMM, length=0.6, size=0.15, order=1, tetrahedra=True)
     total = wall.mesh.topology.index_map(3).size_global
     uneven = np.diff(np.linspace(0.0, total**0.5, COMM.size + 1).astype(int) ** 2).tolist()
     uneven[-1] += total - sum(uneven)
     write_wall(path, wall)
-    with mock.patch.object(xdmf, "_keep", lambda _, rows, comm: keep(uneven, rows, comm)):
+    with mock.patch.object(
+        xdmf, "_partitioner_of_file", lambda _, rows, comm: keep(uneven, rows, comm)
+    ):
         torn = read_wall(path, COMM)
     write_wall(path, torn)
     again = read_wall(path, COMM)
@@ -88,8 +91,10 @@ def test_parts_are_those_that_were_written(tmp_path):
 def test_tags_are_those_that_were_written(tmp_path, given):
     """Of a wall of one layer, and of one with cells without a tag, too."""
     wall = create_brick_tube(COMM, length=0.6, size=0.15, order=1, tetrahedra=True)
-    tags, mesh = wall.cell_tags, wall.mesh
-    values, some = tags.values.copy(), np.ones(len(tags.values), dtype=bool)
+    tags = wall.cell_tags
+    mesh = wall.mesh
+    values = tags.values.copy()
+    some = np.ones(len(tags.values), dtype=bool)
     if given == "one alone":
         values[:] = 7
     else:
@@ -133,7 +138,8 @@ def test_generated_walls_are_read_by_all(tmp_path):
 
 def test_generated_wall_is_kept_as_long_as_its_generator(tmp_path, monkeypatch):
     """It is generated anew for another size of elements, by other code, or if a file is lost."""
-    folder, made = COMM.bcast(tmp_path), []
+    folder = COMM.bcast(tmp_path)
+    made = []
 
     def create(path, *, size):
         made.append(size)
@@ -187,7 +193,8 @@ def test_no_process_holds_the_whole_wall(tmp_path):
     size = path.with_suffix(".h5").stat().st_size
     agree(size > 6e6)
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins here
-    held, read = status("VmRSS"), read_so_far()
+    held = status("VmRSS")
+    read = read_so_far()
     wall = read_wall(path, COMM)
     cells = wall.mesh.topology.index_map(3).size_global
     agree(read_so_far() - read < (1.05 * size + 32 * cells) / COMM.size + 1e5)

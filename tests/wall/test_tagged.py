@@ -5,14 +5,13 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises
+from pages import programs
 from ufl_values import scalar
-from wall_files import ROOT
 
 import dolfinx
 import ufl
@@ -27,6 +26,7 @@ from dolfinx_feti.wall import (
     area,
     by_layer,
     create_wall,
+    read_wall,
     surface_measure,
 )
 
@@ -77,13 +77,15 @@ def test_body_under_pressure(cell):
     """Clamped at one end, sliding below, pressure and springs at the other: as in plain dolfinx."""
     wall = create_wall(*box(cell), NAMES)
     V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 1, (3,)))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    u = ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
     rest = dolfinx.fem.Function(V)
     conditions = {"end": Clamp(), "below": Slide(), "surface_5": [Pressure(), Spring(2.0)]}
     boundary = apply_conditions(wall, rest, conditions)
     boundary.pressure.value = 0.1
     inside = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
-    ds, n = surface_measure(wall)(5), ufl.FacetNormal(wall.mesh)
+    ds = surface_measure(wall)(5)
+    n = ufl.FacetNormal(wall.mesh)
     springs = 2.0 * ufl.dot(u, n) * ufl.dot(v, n) * ds
     springs += loads.follower_pressure_tangent(0.1, rest, v, u, ds, "full")
     solutions = [
@@ -115,7 +117,8 @@ def test_names_of_physical_groups():
             gmsh.model.addPhysicalGroup(2, [face], tag)
         gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
         gmsh.model.mesh.generate(3)
-    data, groups = gmshio.model_to_mesh(gmsh.model, COMM, 0), {}
+    data = gmshio.model_to_mesh(gmsh.model, COMM, 0)
+    groups = {}
     if COMM.rank == 0:
         groups = {gmsh.model.getPhysicalName(*g): g for g in gmsh.model.getPhysicalGroups()}
         gmsh.finalize()
@@ -128,17 +131,15 @@ def test_names_of_physical_groups():
         agree(create_wall(*data[:3], data.physical_groups).surfaces["fixed"] == 4)
 
 
-def test_the_lines_of_the_page():
+def test_the_lines_of_the_page(tmp_path, monkeypatch):
     """docs/walls.md, from a model to a wall that is solved."""
     pytest.importorskip("gmsh")
-    page = (ROOT / "docs/walls.md").read_text(encoding="utf-8")
-    section = page.partition("### A wall from a Gmsh model")[2].partition("\n### ")[0]
-    (code,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
-    if not hasattr(dolfinx.io, "gmshio"):
-        code = code.replace("import gmshio", "import gmsh as gmshio")
-    names: dict[str, Any] = {}
+    monkeypatch.chdir(tmp_path)
+    (code,) = programs("A wall from a Gmsh model", "docs/walls.md")
+    names: dict[str, Any] = {"comm": COMM, "read_wall": read_wall}
     exec(code, names)
-    wall, u = names["wall"], names["u"]
+    wall = names["wall"]
+    u = names["u"]
     agree((set(wall.layers), set(wall.surfaces)) == ({"patch"}, {"rim", "above"}), wall.names)
     agree(names["problem"].solver.getConvergedReason() > 0)
     sunk = scalar(u[2] * surface_measure(wall)(wall.surfaces["above"])) / area(wall, "above")

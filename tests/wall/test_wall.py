@@ -20,14 +20,16 @@ from wall_files import ROOT, centroids, on_first
 import dolfinx
 import ufl
 
+from dolfinx_feti.meshes.wall_mesh import TAGS, write_msh
 from dolfinx_feti.wall import area, by_layer, facets, openings, read_case, read_wall
 from dolfinx_feti.wall.fibres import fibre_frame
 from dolfinx_feti.wall.wall import plane
 from dolfinx_feti.wall.wallfile import read_raw_wall
-from meshes.wall_mesh import TAGS, write_msh
 
 GROUPS = {name: (3 if tag < 3 else 2, tag) for name, tag in TAGS.items()}
-AROUND, LENGTH, RADII = 14, 1.0, np.array([0.71, 0.97, 1.10])
+AROUND = 14
+LENGTH = 1.0
+RADII = np.array([0.71, 0.97, 1.10])
 ANGLE = 2 * np.pi / AROUND
 
 
@@ -67,7 +69,8 @@ def test_every_exterior_facet_has_its_surface(wall):
     exterior = dolfinx.mesh.exterior_facet_indices(wall.mesh.topology)
     tagged = wall.facet_tags.indices
     agree(np.array_equal(np.sort(tagged[np.isin(tagged, exterior)]), np.sort(exterior)))
-    side, ring = 2 * np.sin(ANGLE / 2) * AROUND * LENGTH, AROUND * np.sin(ANGLE) / 2
+    side = 2 * np.sin(ANGLE / 2) * AROUND * LENGTH
+    ring = AROUND * np.sin(ANGLE) / 2
     for name, r in (("lumen", RADII[0]), ("outer", RADII[2])):
         x = dolfinx.mesh.compute_midpoints(wall.mesh, 2, facets(wall, name))
         agree(np.all(np.abs(np.linalg.norm(x[:, :2], axis=1) / r - 1) < 0.05), name)
@@ -199,7 +202,7 @@ def test_gmsh_is_left_running(wall):
 
 
 def write_quarter(path: Path, *, order: int, hexahedra: bool) -> Path:
-    """Let Gmsh mesh a quarter of a tube, with four cells around it."""
+    """Mesh a quarter of a tube with Gmsh, with four cells around it."""
     gmsh = pytest.importorskip("gmsh")
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)

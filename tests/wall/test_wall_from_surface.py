@@ -16,6 +16,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, materials
+from dolfinx_feti.meshes.vessel import create_vessel
 from dolfinx_feti.wall import (
     Clamp,
     Dashpot,
@@ -26,9 +27,9 @@ from dolfinx_feti.wall import (
     area,
     read_wall,
 )
-from meshes.vessel import create_vessel
 
-KAPPA, PRESSURE = 30.0, 0.4  # kPa
+KAPPA = 30.0
+PRESSURE = 0.4  # kPa
 SPRINGS = {
     "lumen": Pressure(),
     "outer": [Spring(0.2, "all"), Dashpot(0.5)],
@@ -63,7 +64,8 @@ class Body:
         ]
         self.boundary = apply_conditions(wall, u, conditions, axis=axis)
         F = kinematics.deformation_gradient(u)
-        C, J = kinematics.right_cauchy_green(F), kinematics.jacobian(F)
+        C = kinematics.right_cauchy_green(F)
+        J = kinematics.jacobian(F)
         psi = materials.neo_hookean(C, c=3.0, J=J)
         psi += materials.perturbed_lagrangian(J, p, kappa=KAPPA)
         energy = psi * ufl.dx(metadata={"quadrature_degree": 4})
@@ -74,10 +76,15 @@ class Body:
 
     def solve(self):
         problem = NonlinearProblem(
-            [self.residual, self.rest], self.u, condense=self.p, bcs=self.boundary.bcs,
-            J=self.tangent, subdomains=6, quadrature_degree=4,
+            [self.residual, self.rest],
+            self.u,
+            condense=self.p,
+            bcs=self.boundary.bcs,
+            J=self.tangent,
+            subdomains=6,
+            quadrature_degree=4,
             petsc_options={"snes_rtol": 1e-10, "snes_atol": 1e-12},
-        )  # fmt: skip
+        )
         problem.solve()
         return problem.history
 
@@ -95,7 +102,8 @@ def test_inflated_on_springs(wall):
     """Nothing but springs holds it; dashpots hold it back in the first of two time steps."""
     agree(wall.layers == {"wall": 101} and area(wall, "opening_2") > 0.0)
     body = Body(wall, SPRINGS)
-    u, boundary = body.u, body.boundary
+    u = body.u
+    boundary = body.boundary
     agree(not boundary.bcs and boundary.energy is None)
     boundary.pressure.value = PRESSURE
     moved = []
@@ -113,7 +121,8 @@ def test_pulled_and_inflated(wall):
     """One end clamped, the other sliding, pulled to 1.1 times the length, then under pressure."""
     conditions = {"lumen": Pressure(), "opening_1": Clamp(), "opening_2": Slide()}
     body = Body(wall, conditions, axis="z")
-    u, boundary = body.u, body.boundary
+    u = body.u
+    boundary = body.boundary
     for stretch, pressure in ((1.05, 0.0), (1.1, 0.0), (1.1, PRESSURE)):
         boundary.set_stretch(stretch)
         boundary.pressure.value = pressure

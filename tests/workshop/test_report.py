@@ -39,7 +39,8 @@ from dolfinx_feti.workshop.report import check_law, judge, random_states
 
 pytestmark = pytest.mark.serial
 
-KINK, ELLIPTIC = "tangent continuous at rest", "strongly elliptic, "
+KINK = "tangent continuous at rest"
+ELLIPTIC = "strongly elliptic, "
 DIFFERENCES = {"stress against differences", "tangent against differences"}
 
 
@@ -91,13 +92,16 @@ def test_loss_of_ellipticity_is_a_warning_with_the_stretch(psi, kappa, lost):
 @pytest.mark.parametrize(
     ("psi", "failures"),
     [
-        (energies.linear, {f"frame indifference of the {it}" for it in ("energy", "stress")}
-         | {"symmetry of the stress"}),
+        (
+            energies.linear,
+            {f"frame indifference of the {it}" for it in ("energy", "stress")}
+            | {"symmetry of the stress"},
+        ),
         (energies.stressed, {"stress-free reference"}),
         (energies.contracting, {"stress-free reference"}),
         (energies.wavy, DIFFERENCES),
     ],
-)  # fmt: skip
+)
 def test_broken_energy_fails_its_check(psi, failures):
     report = check(material(psi), n=5)
     assert not report.ok
@@ -131,7 +135,8 @@ def test_nan_is_reported_with_its_state():
     """The energy is NaN where C₁₁ > 1.3: in tension from λ = √1.3 = 1.14 on, not in shear."""
     report = check(material(energies.not_a_number), n=11)
     checks = {c.name: c for c in report.checks}
-    finite, along = checks["finite values"], checks["finite values along the paths"]
+    finite = checks["finite values"]
+    along = checks["finite values along the paths"]
     assert finite.outcome == "fail"
     assert finite.value is not None and finite.value > 0
     said = f"Ψ, P, A at {finite.value:.0f} of 32 states, the first at F = [["
@@ -336,7 +341,8 @@ def test_uniaxial_strain_of_saint_venant_kirchhoff():
     assert scan.lost == pytest.approx((2 - np.sqrt(2),), abs=1e-7)
 
 
-SHEARED, COMPRESSED = (0.75, 1.4, 1 / (0.75 * 1.4)), (0.6, 1.0, 1.0)
+SHEARED = (0.75, 1.4, 1 / (0.75 * 1.4))
+COMPRESSED = (0.6, 1.0, 1.0)
 UNLOST = [energies.mooney_rivlin, hgo, goh, energies.reinforced]
 
 

@@ -61,7 +61,8 @@ def test_simple_shear_of_rubber():
 
 def wall_stresses(stretch, second):
     """σ₁₁ and σ₂₂ of the HGO energy for F = diag(λ, λ₂, 1/(λ λ₂)), σ₃₃ = 0, derived on paper."""
-    cosine2, third2 = np.cos(ANGLE) ** 2, (stretch * second) ** -2.0
+    cosine2 = np.cos(ANGLE) ** 2
+    third2 = (stretch * second) ** -2.0
     E = np.maximum(stretch**2 * cosine2 + second**2 * (1 - cosine2) - 1, 0)
     fibres = 4 * HGO["k1"] * E * np.exp(HGO["k2"] * E**2)
     first = HGO["c"] * (stretch**2 - third2) + fibres * stretch**2 * cosine2
@@ -91,7 +92,8 @@ def test_uniaxial_tension_of_a_wall_with_fibres():
 
 def test_compressible_bar():
     """St Venant-Kirchhoff: S₁₁ = E E₁₁ and E₂₂ = −ν E₁₁ with the small-strain E and ν."""
-    young, poisson = MU * (3 * LMBDA + 2 * MU) / (LMBDA + MU), LMBDA / 2 / (LMBDA + MU)
+    young = MU * (3 * LMBDA + 2 * MU) / (LMBDA + MU)
+    poisson = LMBDA / 2 / (LMBDA + MU)
     stretch = np.linspace(0.7, 1.3, 7)
     strain = (stretch**2 - 1) / 2
     response = respond(material(energies.saint_venant, kappa=0.0), uniaxial(stretch))
@@ -127,7 +129,8 @@ def test_oblique_fibres_let_a_specimen_shear(kappa):
     np.testing.assert_allclose(held.sigma[:, 2], 0, atol=1e-10)
 
 
-ALONG, ACROSS = (np.cos(ANGLE), np.sin(ANGLE), 0), (-2 * np.sin(ANGLE), 2 * np.cos(ANGLE), 0)
+ALONG = (np.cos(ANGLE), np.sin(ANGLE), 0)
+ACROSS = (-2 * np.sin(ANGLE), 2 * np.cos(ANGLE), 0)
 
 
 def fibre_stress(E):
@@ -256,7 +259,8 @@ def test_moduli_of_fibres():
     projection = np.eye(6)[:, :3] @ (np.eye(3) - 1 / 3) @ np.eye(6)[:3]
     D = 2 * C * (projection + np.diag([0.0] * 3 + [0.5] * 3))
     for angle in (ANGLE, -ANGLE):
-        c, s = np.cos(angle), np.sin(angle)
+        c = np.cos(angle)
+        s = np.sin(angle)
         M = np.array([c * c - 1 / 3, s * s - 1 / 3, -1 / 3, 0, 0, c * s])
         D += 4 * HGO["k1"] * np.outer(M, M)
     np.testing.assert_allclose(moduli.stiffness, D, atol=1e-12)
@@ -267,7 +271,8 @@ def test_moduli_of_fibres():
 def test_one_family_is_transversely_isotropic():
     """E = 3 c + 4 k along the fibre: Ψ = 3/2 c ε² + k/2 (2 ε)²; across, ν differs from ½."""
     moduli = small_strain_moduli(material(energies.reinforced))
-    young, poisson = moduli.young, moduli.poisson
+    young = moduli.young
+    poisson = moduli.poisson
     assert young[0] == pytest.approx(3 * C + 4 * FIBRE, rel=1e-12)
     assert young[1] == pytest.approx(young[2], rel=1e-12)
     assert poisson[0, 1] == pytest.approx(0.5) and poisson[0, 2] == pytest.approx(0.5)

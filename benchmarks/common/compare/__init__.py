@@ -3,5 +3,5 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """FETI beside MUMPS, GAMG and others on the same matrices.
 
-In the order of the data: opponents, path, tables.
+In the order of the data: geometries, opponents, path, tables.
 """

@@ -15,11 +15,14 @@ import scipy.sparse
 from dolfinx_feti.comparison import SOLVERS
 
 #: Kinds of matrices: symmetric positive definite, symmetric, and any other.
-DEFINITE, SYMMETRIC, GENERAL = 2, -2, 11
+DEFINITE = 2
+SYMMETRIC = -2
+GENERAL = 11
 
 #: Options of PETSc by the name of the solver.
 OPPONENTS: dict[str, Mapping[str, object]] = {
     **SOLVERS,
+    "feti-dual": {"feti_formulation": "dual"},
     "mumps-blr": {
         "pc_type": "cholesky",
         "pc_factor_mat_solver_type": "mumps",

@@ -34,7 +34,7 @@ from dolfinx_feti.comparison import (
     timed_solve,
 )
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps
-from dolfinx_feti.runtime.collective import on_all, reason
+from dolfinx_feti.runtime.collective import error_message, on_all
 from dolfinx_feti.torn.matrix import State, state_of
 
 #: Solvers of a path: FETI drives Newton's method, and tangents may be indefinite on the way.
@@ -42,7 +42,9 @@ SOLVERS = ("feti", "mumps", "pardiso")
 
 #: As in ``demos/demo_artery.py``: the first load step's share of the path, and the relative
 #: tolerances of Newton's method and of FETI before its end.
-FIRST, RTOL, LINEAR_RTOL = 0.1, 1e-3, 1e-3
+FIRST = 0.1
+RTOL = 1e-3
+LINEAR_RTOL = 1e-3
 
 
 def load(
@@ -63,8 +65,11 @@ def follow(body: Body, mmhg: float, *, direct: Sequence[str] = ()) -> list[Recor
     Returns:
         A record for each solver; ``note`` says why the path or the solver came to no end.
     """
-    comm, others = body.u.function_space.mesh.comm, [_Direct(name) for name in direct]
-    feti, beside, watch = _Solves("feti"), 0.0, Stopwatch(comm)
+    comm = body.u.function_space.mesh.comm
+    others = [_Direct(name) for name in direct]
+    feti = _Solves("feti")
+    beside = 0.0
+    watch = Stopwatch(comm)
 
     def then(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
         nonlocal beside
@@ -76,11 +81,12 @@ def follow(body: Body, mmhg: float, *, direct: Sequence[str] = ()) -> list[Recor
 
     watch.hook(body.problem.solver.getKSP(), then)
     accepted: list[LoadStep] = []
-    note, begun = "", time.perf_counter()
+    note = ""
+    begun = time.perf_counter()
     try:
         load(body, mmhg, on_step=accepted.append)
     except ConvergenceError as error:
-        note = f"failed: {reason(error)}"
+        note = f"failed: {error_message(error)}"
     seconds = comm.allreduce(time.perf_counter() - begun - beside, op=MPI.MAX)
     newton = [step for load_step in accepted for step in load_step.all_steps]
     feti.seconds = watch.each().tolist()
@@ -157,7 +163,7 @@ class _Direct(_Solves):
         try:
             cost, self.ksp = on_all(lambda: timed_solve(self._create, f, x), f.comm.tompi4py())
         except PETSc.Error as error:
-            self.note = f"failed: {reason(error)}"
+            self.note = f"failed: {error_message(error)}"
         else:
             if cost.converged_reason > 0:
                 self.seconds.append((cost.seconds_setup, cost.seconds_solve))

@@ -18,6 +18,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from benchmarks.common.compare.geometries import GEOMETRIES
 from benchmarks.common.compare.opponents import DIRECT
 from benchmarks.common.pages import Fields, groups, section
 from benchmarks.common.plots import COLOURS, Style, curve, picture
@@ -26,6 +27,7 @@ from benchmarks.common.records import Record
 #: How the solvers are called, in the order of the tables.
 NAMES = {
     "feti": "FETI",
+    "feti-dual": "FETI, dual",
     "mumps": "MUMPS",
     "mumps-blr": "MUMPS, low rank",
     "cholmod": "CHOLMOD",
@@ -42,15 +44,21 @@ CASE = ("geometry", "degree", "kappa", "dofs", "wanted_subdomains", "path_mmhg",
 #: Volume stiffness at the ends of the comparison [kPa].
 KAPPAS = (10.0, 1000.0, 1e5)
 
-#: Bodies that are compared, and those whose subdomains alone are varied.
-GEOMETRIES = ("tube", "vessel", "block", "pillar", "cube", "square", "heat")
+#: Names of the compressible bodies on the page.
+COMPRESSIBLE = {
+    name: geometry.title for name, geometry in GEOMETRIES.items() if geometry.is_compressible
+}
+
+#: Places of the bodies in the tables.
+ORDER = {name: place for place, name in enumerate(GEOMETRIES)}
 
 KAPPA = 1000.0
 
 #: What a plain first step of the package's own choice has none of.
 SPECIAL = ("loaded_mmhg", "path_mmhg", "wanted_subdomains", "per")
 
-BODIES = {"tube": "thin wall (tube)", "vessel": "branched vessel", "block": "compact block"}
+#: Bodies of the figure.
+BODIES = {name: GEOMETRIES[name].title for name in ("tube", "vessel", "block")}
 
 #: The curves: their solvers, the fastest of which counts, and how they look.
 CURVES: dict[str, tuple[tuple[str, ...], Style]] = {
@@ -66,31 +74,60 @@ CURVES: dict[str, tuple[tuple[str, ...], Style]] = {
 }
 
 
+#: The solvers of the figure of compressible bodies, the fastest of which counts, and their marks.
+FORMULATIONS: dict[str, tuple[tuple[str, ...], Style]] = {
+    "FETI": (("feti",), {"color": COLOURS[0], "marker": "o", "ls": ""}),
+    "FETI, dual": (("feti-dual",), {"color": COLOURS[0], "marker": "o", "ls": "", "mfc": "none"}),
+    "MUMPS": (("mumps",), {"color": COLOURS[1], "marker": "s", "ls": ""}),
+    "GAMG": (("gamg", "gamg-elasticity"), {"color": COLOURS[2], "marker": "^", "ls": ""}),
+    "BoomerAMG": (("hypre-elasticity",), {"color": COLOURS[3], "marker": "v", "ls": ""}),
+    "BDDC": (("bddc",), {"color": COLOURS[4], "marker": "D", "ls": ""}),
+}
+
+
 def fields(records: Sequence[Record]) -> Fields:
     """Return the values of the page; a case is the list of its records, in all layouts."""
     sweep = [r for r in records if r.get("per")]
     plain = [r for r in records if not r.get("per")]
     cases = sorted((mine for _, mine in groups(plain, *CASE)), key=_order)
+    compressible = [case for case in cases if case[0]["geometry"] in COMPRESSIBLE]
+    cases = [case for case in cases if case[0]["geometry"] not in COMPRESSIBLE]
     first = [case for case in cases if case[0]["path_mmhg"] is None]
     paths = [case for case in cases if case[0]["path_mmhg"] is not None]
     steps = itertools.groupby(first, lambda case: (case[0]["geometry"], case[0]["kappa"]))
     return {
         "summary": section(row for case in cases if (row := _against_the_best(case))),
-        "steps": [
-            {"geometry": body, "kappa": kappa, "rows": [r for case in mine for r in _rows(case)]}
-            for (body, kappa), mine in steps
-        ],
+        "steps": [_steps(body, kappa, list(mine)) for (body, kappa), mine in steps],
+        "formulations": section(map(_formulations, compressible)),
+        "compressible": section(row for case in compressible for row in _rows(case)),
         "paths": section(row for case in paths for row in _rows(case)),
         "sweep": section(_subdomains(sweep)),
         "growth": section(_growth(first), low=KAPPAS[0]),
-        "failures": section(_row(r) for case in cases for r in case if not r["converged"]),
+        "failures": section(
+            _row(r) for case in (*cases, *compressible) for r in case if not r["converged"]
+        ),
+    }
+
+
+def _steps(body: str, kappa: float, cases: Sequence[Sequence[Record]]) -> dict[str, object]:
+    """Return the section of a body and a κ: its rows, and how FETI compares with the best other."""
+    compared = [row for case in cases if (row := _against_the_best(case)) is not None]
+    ratios = [float(str(row["time_ratio"])) for row in compared]
+    return {
+        "geometry": body,
+        "kappa": kappa,
+        "rows": [row for case in cases for row in _rows(case)],
+        "least_ratio": min(ratios, default=math.nan),
+        "largest_ratio": max(ratios, default=math.nan),
+        "compared": len(compared),
     }
 
 
 def _order(case: Sequence[Record]) -> tuple[object, ...]:
     r = case[0]
-    place, loads = GEOMETRIES.index(r["geometry"]), (r["path_mmhg"] or 0.0, r["loaded_mmhg"] or 0.0)
-    return place, r["kappa"], *loads, -r["degree"], r["dofs"], r["wanted_subdomains"] or 0
+    place = ORDER[r["geometry"]]
+    loads = (r["path_mmhg"] or 0.0, r["loaded_mmhg"] or 0.0)
+    return place, r["kappa"] or 0.0, *loads, -r["degree"], r["dofs"], r["wanted_subdomains"] or 0
 
 
 def _of_solver(case: Sequence[Record], *solvers: str) -> list[Record]:
@@ -119,7 +156,8 @@ def _rows(case: Sequence[Record]) -> Iterator[dict[str, object]]:
 
 def _against_the_best(case: Sequence[Record]) -> dict[str, object] | None:
     """Return FETI's better layout and the best of all others, or None if one is not there."""
-    feti, other = _best(case, "feti"), _best(case, *(name for name in NAMES if name != "feti"))
+    feti = _best(case, "feti")
+    other = _best(case, *(name for name in NAMES if name != "feti"))
     if feti is None or other is None:
         return None
     direct = _best(case, *DIRECT)
@@ -138,11 +176,16 @@ def seconds(record: Record) -> float:
 def _row(record: Record) -> dict[str, object]:
     """Return a record with names, layout and means; without results if it has failed."""
     row = dict(record) | {"name": NAMES[str(record["solver"])], "layout": _layout(record)}
-    path, loaded = record["path_mmhg"], record["loaded_mmhg"]
+    path = record["path_mmhg"]
+    loaded = record["loaded_mmhg"]
     row["load"] = "at rest" if path is None else f"path to {path:g} mmHg"
     row["load"] = row["load"] if loaded is None else f"at {loaded:g} mmHg"
     row["element"] = f"P{record['degree']}–P0"
-    if record["solver"] not in ("feti", "bddc"):
+    if record["geometry"] in COMPRESSIBLE:
+        kind = "Q" if str(record["geometry"]).startswith("plate") else "P"
+        row |= {"element": f"{kind}{record['degree']}", "body": COMPRESSIBLE[record["geometry"]]}
+        row |= {"load": "weight", "difference": record.get("difference_to_mumps")}
+    if record["solver"] not in ("feti", "feti-dual", "bddc"):
         row["subdomains"] = None
     if not record["converged"]:
         results = ("seconds_solve", "iterations", "peak_mib", "relative_residual", "spread")
@@ -162,9 +205,26 @@ def _spread(record: Record) -> str:
     return f"{_whole(record):.2f} ({min(each):.2f}–{max(each):.2f})"
 
 
+def _formulations(case: Sequence[Record]) -> dict[str, object]:
+    """Return FETI's two formulations and the best of all others on a compressible body."""
+    best = {"primal": _best(case, "feti"), "dual": _best(case, "feti-dual")}
+    best["other"] = _best(case, *(name for name in NAMES if name not in ("feti", "feti-dual")))
+    row: dict[str, object] = dict(_row(case[0]))
+    for which, record in best.items():
+        found = dict.fromkeys(("iterations", "spread", "peak_mib", "name"))
+        row |= {f"{which}_{k}": v for k, v in (found if record is None else _row(record)).items()}
+    primal = best["primal"]
+    dual = best["dual"]
+    other = best["other"]
+    row["of_dual"] = _whole(primal) / _whole(dual) if primal and dual else None
+    row["of_other"] = _whole(primal) / _whole(other) if primal and other else None
+    return row
+
+
 def _ratios(feti: Record, other: Record) -> dict[str, object]:
     """Return FETI's time and memory over those of another solver."""
-    mine, its = feti["peak_mib"], other["peak_mib"]
+    mine = feti["peak_mib"]
+    its = other["peak_mib"]
     return {
         "time_ratio": _whole(feti) / _whole(other),
         "linear_ratio": seconds(feti) / seconds(other),
@@ -193,7 +253,8 @@ def _whole(record: Record) -> float:
 
 def _layout(record: Record) -> str:
     """Name processes and threads."""
-    processes, threads = record["processes"], record["threads"]
+    processes = record["processes"]
+    threads = record["threads"]
     of_each = "" if threads == 1 else f" × {threads} threads"
     return f"{processes} process{'' if processes == 1 else 'es'}{of_each}"
 
@@ -205,7 +266,7 @@ def _subdomains(records: Sequence[Record]) -> list[dict[str, object]]:
     for (geometry, degree, processes, wanted), mine in groups(records, *alike):
         least = min(r["seconds_cpu"] for r in mine if r["converged"])
         its = [r["iterations"] for r in mine if r["subdomains"] > 1]
-        place = (processes, GEOMETRIES.index(geometry), degree, wanted)
+        place = (processes, ORDER[geometry], degree, wanted)
         at = {int(r["per"]): f"{r['seconds_cpu'] / least:.2f}" for r in mine}
         ends = {"fewest": min(its, default=None), "most": max(its, default=None)}
         rows.append(mine[0] | ends | {"place": place, "at": at})
@@ -231,6 +292,39 @@ def draw(records: Sequence[Record], path: Path) -> None:
                 curve(ax, points(records, geometry, solvers), **style)
             ax.set(title=title, xlabel="dofs", xscale="log", yscale="log")
         axes[0, 0].set_ylabel("set-up and solve [s], two cores")
+
+
+def draw_compressible(records: Sequence[Record], folder: Path) -> list[Fields]:
+    """Draw the seconds of each solver on each compressible body, and of both formulations."""
+    plain = [r for r in records if not any(r.get(name) for name in SPECIAL)]
+    mine = [r for r in plain if r["geometry"] in COMPRESSIBLE and r["converged"]]
+    found = {
+        name: [
+            (body, min(map(seconds, of_body)))
+            for (body,), of_body in groups((r for r in mine if r["solver"] in solvers), "geometry")
+        ]
+        for name, (solvers, _) in FORMULATIONS.items()
+    }
+    bodies = [name for name in COMPRESSIBLE if any(name in dict(times) for times in found.values())]
+    if not found["FETI, dual"]:
+        return []
+    legend = {name: style for name, (_, style) in FORMULATIONS.items()}
+    with picture(folder / "speed_compressible.png", 1, 2, legend, sharey=True) as axes:
+        for ax, part in zip(
+            axes[0], (bodies[: len(bodies) // 2], bodies[len(bodies) // 2 :]), strict=True
+        ):
+            for name, (_, style) in FORMULATIONS.items():
+                times = dict(found[name])
+                curve(
+                    ax, [(i, times[body]) for i, body in enumerate(part) if body in times], **style
+                )
+            ax.set_yscale("log")
+            ax.set_xticks(
+                range(len(part)), [COMPRESSIBLE[body].replace(", ", ",\n") for body in part]
+            )
+            ax.set_xlim(-0.5, max(len(part), 1) - 0.5)
+        axes[0, 0].set_ylabel("set-up and solve [s]")
+    return [{"picture": "speed_compressible.png"}]
 
 
 if __name__ == "__main__":

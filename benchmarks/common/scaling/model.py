@@ -43,15 +43,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from benchmarks.common.records import Record
-from dolfinx_feti.feti.coarse.gathered import MOST, SPREAD
-from dolfinx_feti.feti.coarse.group import ROWS
+from dolfinx_feti.feti.coarse.fronts import MAX_FRONT_ENTRIES
+from dolfinx_feti.feti.coarse.group import ROWS_PER_PROCESS
+from dolfinx_feti.feti.coarse.solver import INVERSE_ROWS_PER_PROCESS
 
 #: A cluster of today, stated and not measured: latency of a message [s], bandwidth of a process
 #: into the network, speed at which it reads a factor [bytes/s], processes of a node, those that
 #: read memory at that speed together (measured on 16 cores of a Xeon), rate at which a process
 #: factors by fronts (3.2e10 on a core here) [flops/s], file system of all processes [bytes/s].
-LATENCY, BANDWIDTH, STREAM = 2e-6, 2e9, 5e9  # α, W, V
-NODE, BUS, RATE, DISK = 16, 12.0, 2e10, 5e9  # p_n, p_b, R, D
+LATENCY = 2e-6
+BANDWIDTH = 2e9
+STREAM = 5e9  # α, W, V
+NODE = 16
+BUS = 12.0
+RATE = 2e10
+DISK = 5e9  # p_n, p_b, R, D
 
 #: Rows of the inverse that take the time of a solve with the factor.
 BLOCKED = 6.0
@@ -78,7 +84,8 @@ PARTS = (
     "rest",  # fibres, tearing, patterns
     "fixed",
 )
-KRYLOV, COARSE = PARTS[1:6], PARTS[6:8]
+KRYLOV = PARTS[1:6]
+COARSE = PARTS[6:8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +101,17 @@ class Model:
 
         These are ``krylov``, ``coarse`` and ``total``. ρ times the dofs make a mesh ``refined``.
         """
-        base, sent, P = self.base, self.sent, processes
+        base = self.base
+        sent = self.sent
+        P = processes
         first = base["processes"]
         iterations = sum(base["linear_iterations_per_newton"])
         solves = iterations * sent["coarse_solves"]
         subdomains = max(base["subdomains_in_all"], P)
         grown = subdomains / base["subdomains_in_all"]
-        K, L, flops = max(2, base["coarse_size"]), sent["coarse_entries"], sent["coarse_flops"]
+        K = max(2, base["coarse_size"])
+        L = sent["coarse_entries"]
+        flops = sent["coarse_flops"]
         longer = grown * math.log(grown * K) / math.log(K)
         gather, solve, factor = _coarse(grown * K, longer * L, grown**1.5 * flops, P)
         _, solved, factored = _coarse(K, L, flops, first)
@@ -109,7 +120,8 @@ class Model:
         steps = base["newton_iterations"]
         parts = ("local", "krylov", "coarse", "reading", "fixed")
         rest = base["seconds_total"] - sum(base[f"seconds_{part}"] for part in parts)
-        each, hops = sent["iteration"], math.log2(P)
+        each = sent["iteration"]
+        hops = math.log2(P)
         message = each["messages"]["mean"] * LATENCY
         message += (refined / grown) ** (2.0 / 3.0) * each["bytes"]["mean"] / BANDWIDTH
         seconds = {
@@ -136,12 +148,14 @@ class Model:
 
     def _reading(self, P: int, refined: float) -> float:
         """Return the seconds of reading and distributing the wall on P processes."""
-        most, hops = self.sent["processes"], math.log2(P)
+        most = self.sent["processes"]
+        hops = math.log2(P)
         first, two = (r["seconds_reading"] * r["processes"] for r in (self.base, self.two))
         if P == 1:
             return refined * first
         work = (first + max(0.0, two - first) * hops) / P
-        disk, counted = self.sent["reading_bytes"] * most / DISK, self.sent["reading"]
+        disk = self.sent["reading_bytes"] * most / DISK
+        counted = self.sent["reading"]
         into_network = counted["bytes"]["mean"] * most / (P * BANDWIDTH)
         waits = counted["messages"]["mean"] + 2.0 * hops * counted["reductions"]["max"]
         return refined * (work + disk + into_network) + waits * LATENCY
@@ -155,9 +169,9 @@ def _bus(P: int) -> float:
 def _coarse(K: float, L: float, flops: float, P: int) -> tuple[float, float, float]:
     """Return the seconds of gathering, of a solve, and of a set-up, on P processes."""
     stream = STREAM / _bus(P)
-    group = 1 if L <= MOST else min(P, max(1, math.ceil(K / ROWS)))
+    group = 1 if L <= MAX_FRONT_ENTRIES else min(P, max(1, math.ceil(K / ROWS_PER_PROCESS)))
     make = flops / (group * RATE)
-    if K > SPREAD * P:
+    if K > INVERSE_ROWS_PER_PROCESS * P:
         gather = 16.0 * K / BANDWIDTH if P > 1 else 0.0  # b to the node, x from it
         return gather, 16.0 * L / (group * STREAM), make  # read twice
     gather = 2.0 * LATENCY * math.log2(P) + 8.0 * K / BANDWIDTH if P > 1 else 0.0

@@ -32,8 +32,10 @@ SOURCE = Path(__file__).with_name("traffic.c")
 #: Names of the counters; ``traffic.c`` says what counts.
 COUNTERS = ("messages", "bytes", "neighbours", "reductions", "contributed", "others")
 
-_B, _RB = "const void *b, N n, MPI_Datatype t", "void *rb, N rn, MPI_Datatype rt"
-_TO, _OP = "int to, int tag, MPI_Comm c", "void *rb, N n, MPI_Datatype t, MPI_Op o"
+_B = "const void *b, N n, MPI_Datatype t"
+_RB = "void *rb, N rn, MPI_Datatype rt"
+_TO = "int to, int tag, MPI_Comm c"
+_OP = "void *rb, N n, MPI_Datatype t, MPI_Op o"
 _BV = "const void *b, const N *n, const D *d, MPI_Datatype t"
 _RBV = "void *rb, const N *rn, const D *rd, MPI_Datatype rt"
 _OWN = "collective(b == MPI_IN_PLACE ? 0 : size_of(n, t), c)"
@@ -48,35 +50,62 @@ _NEIGHBOURS = (
 FUNCTIONS = (
     ("Send Ssend Bsend Rsend", f"{_B}, {_TO}", "message(size_of(n, t), to, c)"),
     ("Isend Issend Ibsend Irsend", f"{_B}, {_TO}, R", "message(size_of(n, t), to, c)"),
-    ("Send_init Ssend_init Rsend_init Bsend_init", f"{_B}, {_TO}, R",
-     "persistent(*r, size_of(n, t), to, c)"),
-    ("Sendrecv", f"{_B}, int to, int tag, {_RB}, int from, int rtag, MPI_Comm c, MPI_Status *s",
-     "message(size_of(n, t), to, c)"),
+    (
+        "Send_init Ssend_init Rsend_init Bsend_init",
+        f"{_B}, {_TO}, R",
+        "persistent(*r, size_of(n, t), to, c)",
+    ),
+    (
+        "Sendrecv",
+        f"{_B}, int to, int tag, {_RB}, int from, int rtag, MPI_Comm c, MPI_Status *s",
+        "message(size_of(n, t), to, c)",
+    ),
     ("Allreduce Scan Exscan", f"const void *b, {_OP}, MPI_Comm c", _ALL),
     ("Iallreduce", f"const void *b, {_OP}, MPI_Comm c, R", _ALL),
     ("Reduce", f"const void *b, {_OP}, int root, MPI_Comm c", _ALL),
-    ("Reduce_scatter_block", f"const void *b, {_OP}, MPI_Comm c",
-     "collective(ranks(c) * size_of(n, t), c)"),
-    ("Bcast", "void *b, N n, MPI_Datatype t, int root, MPI_Comm c",
-     "collective(rank(c) == root ? size_of(n, t) : 0, c)"),
+    (
+        "Reduce_scatter_block",
+        f"const void *b, {_OP}, MPI_Comm c",
+        "collective(ranks(c) * size_of(n, t), c)",
+    ),
+    (
+        "Bcast",
+        "void *b, N n, MPI_Datatype t, int root, MPI_Comm c",
+        "collective(rank(c) == root ? size_of(n, t) : 0, c)",
+    ),
     ("Gather Scatter", f"{_B}, {_RB}, int root, MPI_Comm c", _OWN),
-    ("Gatherv", f"{_B}, void *rb, const N *rn, const D *d, MPI_Datatype rt, int root, MPI_Comm c",
-     _OWN),
+    (
+        "Gatherv",
+        f"{_B}, void *rb, const N *rn, const D *d, MPI_Datatype rt, int root, MPI_Comm c",
+        _OWN,
+    ),
     ("Allgather", f"{_B}, {_RB}, MPI_Comm c", _OWN),
     ("Allgatherv", f"{_B}, void *rb, const N *rn, const D *d, MPI_Datatype rt, MPI_Comm c", _OWN),
     ("Iallgather", f"{_B}, {_RB}, MPI_Comm c, R", _OWN),
-    ("Iallgatherv", f"{_B}, void *rb, const N *rn, const D *d, MPI_Datatype rt, MPI_Comm c, R",
-     _OWN),
-    ("Alltoall", f"{_B}, {_RB}, MPI_Comm c",
-     "collective(b == MPI_IN_PLACE ? 0 : ranks(c) * size_of(n, t), c)"),
-    ("Alltoallv", f"{_BV}, {_RBV}, MPI_Comm c",
-     "double sum = 0; for (int i = 0; b != MPI_IN_PLACE && i < ranks(c); i++) "
-     "sum += size_of(n[i], t); collective(sum, c)"),
+    (
+        "Iallgatherv",
+        f"{_B}, void *rb, const N *rn, const D *d, MPI_Datatype rt, MPI_Comm c, R",
+        _OWN,
+    ),
+    (
+        "Alltoall",
+        f"{_B}, {_RB}, MPI_Comm c",
+        "collective(b == MPI_IN_PLACE ? 0 : ranks(c) * size_of(n, t), c)",
+    ),
+    (
+        "Alltoallv",
+        f"{_BV}, {_RBV}, MPI_Comm c",
+        "double sum = 0; for (int i = 0; b != MPI_IN_PLACE && i < ranks(c); i++) "
+        "sum += size_of(n[i], t); collective(sum, c)",
+    ),
     ("Neighbor_alltoall", f"{_B}, {_RB}, MPI_Comm c", _NEIGHBOURS.format("size_of(n, t)")),
     ("Neighbor_alltoallv", f"{_BV}, {_RBV}, MPI_Comm c", _NEIGHBOURS.format("size_of(n[i], t)")),
-    ("Ineighbor_alltoallv", f"{_BV}, {_RBV}, MPI_Comm c, R",
-     _NEIGHBOURS.format("size_of(n[i], t)")),
-)  # fmt: skip
+    (
+        "Ineighbor_alltoallv",
+        f"{_BV}, {_RBV}, MPI_Comm c, R",
+        _NEIGHBOURS.format("size_of(n[i], t)"),
+    ),
+)
 BARRIERS = (
     ("Barrier", "MPI_Comm c", "collective(0, c)"),
     ("Ibarrier", "MPI_Comm c, R", "collective(0, c)"),
@@ -115,7 +144,8 @@ def _functions(
 def counted(work: Callable[[], object], comm: MPI.Comm) -> Array:
     """Do some work; return what each process has sent for it, (processes, counters). Collective."""
     (named,) = (word for word in os.environ["LD_PRELOAD"].split(":") if "libtraffic" in word)
-    library, values = ctypes.CDLL(named), np.zeros(len(COUNTERS))  # loaded before the program
+    library = ctypes.CDLL(named)
+    values = np.zeros(len(COUNTERS))  # loaded before the program
     library.traffic_reset()
     work()
     library.traffic_read(values.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))

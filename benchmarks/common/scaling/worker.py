@@ -37,13 +37,15 @@ from dolfinx_feti import FETI
 from dolfinx_feti.comparison import PeakMemory
 from dolfinx_feti.feti.coarse.group import GroupFactor
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
+from dolfinx_feti.meshes.walls import open_wall
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.collective import on_first
+from dolfinx_feti.runtime.collective import on_root
 from dolfinx_feti.wall import Wall, read_wall, write_wall
-from meshes.walls import open_wall
 
 #: Iterations of the two solves whose difference is counted, after one that makes all buffers.
-WARM, FEW, MORE = 2, 5, 25
+WARM = 2
+FEW = 5
+MORE = 25
 
 #: Load [mmHg]; under the paper's, 1 mmHg, a thin wall at rest would buckle.
 PRESSURE = 0.2
@@ -68,7 +70,8 @@ def measure(case: Record, comm: MPI.Comm) -> Record:
     """
     PETSc.Log.begin()
     tiny = case | {"geometry": "tube", "size": 1.0, "subdomains": comm.size}
-    tube, file = _written(tiny, comm), _written(case, comm)
+    tube = _written(tiny, comm)
+    file = _written(case, comm)
     for _ in range(2):  # the second time for what does not depend on the mesh
         comm.Barrier()
         started = time.perf_counter()
@@ -104,9 +107,11 @@ def count(case: Record, comm: MPI.Comm) -> Record:
     logging.getLogger("dolfinx_feti").setLevel(logging.CRITICAL)  # it is not to converge
     PETSc.Log.begin()
     wall: list[Wall] = []
-    tube, file = _written(case | {"geometry": "tube", "size": 1.0}, comm), _written(case, comm)
+    tube = _written(case | {"geometry": "tube", "size": 1.0}, comm)
+    file = _written(case, comm)
     read_wall(tube, comm)  # whatever is loaded at first
-    peak, before = PeakMemory(), _bytes_read()
+    peak = PeakMemory()
+    before = _bytes_read()
     reading = counted(lambda: wall.append(read_wall(file, comm)), comm)
     held = peak.mib_above_start(MPI.COMM_SELF), _bytes_read() - before
     mib, read = (comm.allreduce(number, op=MPI.MAX) for number in held)
@@ -127,7 +132,8 @@ def count(case: Record, comm: MPI.Comm) -> Record:
     each = (more - few) / (MORE - FEW)  # (processes, counters)
     solves = ((last - middle) - (middle - first)) / (MORE - FEW)
     entries, flops = comm.bcast(coarse_factor(ksp.getPythonContext()))
-    met, messages = more[:, COUNTERS.index("neighbours")], each[:, COUNTERS.index("messages")]
+    met = more[:, COUNTERS.index("neighbours")]
+    messages = each[:, COUNTERS.index("messages")]
     return first_step.sizes(body) | {
         "coarse_solves": solves,
         "coarse_entries": entries,
@@ -150,7 +156,8 @@ def _bytes_read() -> int:
 
 def _written(case: Record, comm: MPI.Comm) -> Path:
     """Return the file of a case's wall by so many processes, which is written at first."""
-    folder, name = Path(str(case["folder"])), f"{case['geometry']}_{case['size']}_{comm.size}"
+    folder = Path(str(case["folder"]))
+    name = f"{case['geometry']}_{case['size']}_{comm.size}"
     path = folder / f"{name}.xdmf"
     if not comm.bcast(path.is_file()):
         wall, _ = open_wall(case["geometry"], comm, size=case["size"], folder=folder)
@@ -177,9 +184,9 @@ def _iterate(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, iterations: int) -> Non
 
 def coarse_factor(feti: FETI) -> tuple[float, float]:
     """Return entries and flops of the factor of the coarse matrix; zeros without one."""
-    factor = getattr(feti.form.coarse.solver, "factor", None)
+    factor = getattr(feti.formulation.coarse.solver, "factor", None)
     if isinstance(factor, FrontFactor):
-        return float(factor.fronts.entries), float(factor.fronts.flops)
+        return float(factor.fronts.factor_entries), float(factor.fronts.flops)
     if isinstance(factor, GroupFactor) and factor.ksp is not None:
         F = factor.ksp.getPC().getFactorMatrix()
         entries = F.getMumpsInfog(29)
@@ -201,6 +208,7 @@ def _summary(counts: Array) -> Record:
 
 
 if __name__ == "__main__":
-    comm, case = MPI.COMM_WORLD, json.loads(sys.argv[1])
+    comm = MPI.COMM_WORLD
+    case = json.loads(sys.argv[1])
     record = {"measure": measure, "count": count}[case["task"]](case, comm)
-    on_first(lambda: Path(sys.argv[2]).write_text(json.dumps(record)), comm)
+    on_root(lambda: Path(sys.argv[2]).write_text(json.dumps(record)), comm)

@@ -35,8 +35,8 @@ from benchmarks.common.pages import Fields, groups
 from benchmarks.common.records import Record
 from benchmarks.common.study import Arguments, Keep
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
-from dolfinx_feti.runtime.collective import on_first
-from meshes.arguments import count
+from dolfinx_feti.meshes.arguments import count
+from dolfinx_feti.runtime.collective import on_root
 
 #: β² below which a pressure is one that no displacement feels.
 NOTHING = 1e-10
@@ -70,7 +70,7 @@ def cases(args: Arguments, _comm: MPI.Comm) -> Iterator[Record]:
 
 def run(case: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     """Compute a constant on the first process."""
-    keep({}, on_first(lambda: constant(str(case["pair"]), int(case["cells"])), comm))
+    keep({}, on_root(lambda: constant(str(case["pair"]), int(case["cells"])), comm))
 
 
 def fields(records: Sequence[Record]) -> Fields:
@@ -98,8 +98,10 @@ def constant(pair: str, cells: int) -> Record:
     )
     V = dolfinx.fem.functionspace(mesh, basix.ufl.blocked_element(element, shape=(3,)))
     Q = dolfinx.fem.functionspace(mesh, pressure)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    p, q = ufl.TrialFunction(Q), ufl.TestFunction(Q)
+    u = ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
+    p = ufl.TrialFunction(Q)
+    q = ufl.TestFunction(Q)
     forms = ufl.inner(ufl.grad(u), ufl.grad(v)), q * ufl.div(u), p * q
     A, B, M = (_assembled(form * ufl.dx) for form in forms)
     mesh.topology.create_connectivity(2, 3)

@@ -32,9 +32,10 @@ from benchmarks.common.records import Record
 from benchmarks.common.study import Arguments, Keep
 from benchmarks.common.verification.cases import CASES
 from dolfinx_feti.loading import LoadStep
-from meshes.arguments import count
+from dolfinx_feti.meshes.arguments import count
 
-BEFORE = 0.995  # share of the load from which MUMPS goes on
+#: Share of the load from which MUMPS continues: so near the end that it needs no load steps.
+BEFORE = 0.995
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -52,7 +53,8 @@ def cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
 
 def run(key: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     """Load a body by both solvers."""
-    begun, case = time.perf_counter(), CASES[str(key["case"])]
+    begun = time.perf_counter()
+    case = CASES[str(key["case"])]
     body = case.create(comm, int(key["mesh"]))
     last: list[list[np.ndarray]] = []
 
@@ -64,7 +66,9 @@ def run(key: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     newton = [step for load_step in accepted for step in load_step.all_steps]
     seconds = time.perf_counter() - begun
     values = body.measure()
-    body.u.x.array[:], body.p.x.array[:] = last[0]
+    u_before, p_before = last[0]
+    body.u.x.array[:] = u_before
+    body.p.x.array[:] = p_before
     _solve_by_mumps(body)
     found = {
         "values": values,
@@ -82,12 +86,14 @@ def run(key: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
 
 def fields(records: Sequence[Record]) -> Fields:
     """Return the cases in their order, with their meshes, and what is judged."""
-    sections, summary = [], []
+    sections = []
+    summary = []
     for name, case in CASES.items():
         meshes = sorted((r for r in records if r["case"] == name), key=lambda r: int(r["mesh"]))
         if not meshes:
             continue
-        about, rows = {"name": case.name, "source": case.source}, []
+        about = {"name": case.name, "source": case.source}
+        rows = []
         for record in meshes:
             cost = dict(record)  # on the first line of a mesh alone
             for key, quantity in case.quantities.items():
@@ -106,13 +112,15 @@ def fields(records: Sequence[Record]) -> Fields:
 
 def _solve_by_mumps(body: Body) -> None:
     """Solve from the body's state, which is replaced. Collective."""
-    V, Q = body.u.function_space, body.p.function_space
+    V = body.u.function_space
+    Q = body.p.function_space
     elements = [space.ufl_element() for space in (V, Q)]
     W = dolfinx.fem.functionspace(V.mesh, basix.ufl.mixed_element(elements))
     w = dolfinx.fem.Function(W)
     w.sub(0).interpolate(body.u)
     w.sub(1).interpolate(body.p)
-    parts, tests = ufl.split(w), ufl.TestFunctions(W)
+    parts = ufl.split(w)
+    tests = ufl.TestFunctions(W)
     F = sum(
         ufl.replace(form, {body.u: parts[0], body.p: parts[1], form.arguments()[0]: test})
         for form, test in zip(body.residuals, tests, strict=True)

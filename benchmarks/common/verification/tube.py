@@ -16,19 +16,23 @@ from pathlib import Path
 from mpi4py import MPI
 
 from benchmarks.common import command
-from benchmarks.common.pages import Fields, groups
+from benchmarks.common.pages import Fields, groups, section
 from benchmarks.common.plots import COLOURS, curve, picture
 from benchmarks.common.records import Record
 from benchmarks.common.study import Arguments, Keep
 from benchmarks.common.walls.inflated_tube import ELEMENTS, create_inflated_tube, create_slice
 from benchmarks.common.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from dolfinx_feti.loading import LoadStep, Steps
-from meshes.arguments import count, positive
+from dolfinx_feti.meshes.arguments import count, positive
 
 #: With multipliers: the most that the mean volume of a cell may be off, and κ of the truth [kPa].
-VOLUME, INCOMPRESSIBLE = 1e-6, float("inf")
+VOLUME = 1e-6
+INCOMPRESSIBLE = float("inf")
 
 STEPS = Steps(first=10.0, least=0.5, growth=2.0)
+
+#: Pressure at which κ is compared [mmHg]: that of an artery.
+ARTERIAL = 100.0
 
 CASE = ("element", "size", "c", "kappa", "augmented", "subdomains")
 
@@ -103,7 +107,7 @@ def _cost(steps: Sequence[LoadStep]) -> Record:
 
 
 def fields(records: Sequence[Record]) -> Fields:
-    """Return each way at the highest pressure, coarse and fine."""
+    """Return each way at the highest pressure, coarse and fine, and at an artery's for each κ."""
     top = max((r["pressure_mmhg"] for r in records), default=0.0)
     rows = []
     for record in (r for r in records if r["pressure_mmhg"] == top):
@@ -114,7 +118,13 @@ def fields(records: Sequence[Record]) -> Fields:
         rows.append(record | more)
     order = list(WAYS)
     rows.sort(key=lambda r: (order.index(r["element"]), r["augmented"], -r["size"]))
-    return {"ways": [{"rows": rows}]}
+    kappas = [
+        {**record, "way": WAYS[str(record["element"])][0]}
+        for record in records
+        if record["pressure_mmhg"] == ARTERIAL and not record["augmented"]
+    ]
+    kappas.sort(key=lambda r: (order.index(r["element"]), -r["size"], r["kappa"]))
+    return {"ways": [{"rows": rows}], "kappas": section(kappas), "arterial": ARTERIAL}
 
 
 def draw(records: Sequence[Record], folder: Path) -> list[Fields]:

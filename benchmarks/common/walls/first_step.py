@@ -37,7 +37,8 @@ LAYERS = {1: "one layer", 2: "two layers"}
 ARTERIES = {1: "aorta", 2: "carotid artery"}
 
 #: How one subdomain meets the rim: as the decomposition has it, in so many points, not at all.
-CONTACTS, POINTS = ("whole", "few", "none"), 3
+CONTACTS = ("whole", "few", "none")
+POINTS = 3
 
 #: Tangent of the follower pressure. The paper leaves it out: then CG solves all systems, but on a
 #: thin wall Newton's method comes only slowly to the solution.

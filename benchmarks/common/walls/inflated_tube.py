@@ -30,13 +30,13 @@ from benchmarks.common.walls.problem import INTERFACE, create_wall_problem, tube
 from dolfinx_feti import kinematics
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
+from dolfinx_feti.meshes.bricks import create_brick_tube
+from dolfinx_feti.meshes.tube import ADVENTITIA, INNER_RADIUS, count_around
+from dolfinx_feti.meshes.walls import create_tube_wall
 from dolfinx_feti.output import Patches, balanced_stress, create_patches, recovered_field
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.wall import Wall, by_layer, facets
 from dolfinx_feti.wall.fibres import ANGLES
-from meshes.bricks import create_brick_tube
-from meshes.tube import ADVENTITIA, INNER_RADIUS, count_around
-from meshes.walls import create_tube_wall
 
 QUADRATURE = 4  # degree
 STANDARD = 0.09  # mm
@@ -142,7 +142,8 @@ class InflatedTube:
         """Return u_r at the nodes at a radius, none of them on a chord; on all processes."""
         V = self.body.u.function_space
         n = V.dofmap.index_map.size_local
-        x, u = V.tabulate_dof_coordinates()[:n], self.body.u.x.array.reshape(-1, 3)[:n]
+        x = V.tabulate_dof_coordinates()[:n]
+        u = self.body.u.x.array.reshape(-1, 3)[:n]
         r = np.hypot(x[:, 0], x[:, 1])
         outwards = np.einsum("ij,ij->i", x[:, :2], u[:, :2]) / r
         parts = V.mesh.comm.allgather(outwards[np.isclose(r, radius, rtol=1e-9)])
@@ -155,9 +156,16 @@ def create_slice(comm: MPI.Comm, *, size: float, element: str = "p2-p0") -> Wall
     if kind.bricks is not None:
         media, adventitia, around = (max(1, round(n * STANDARD / size)) for n in kind.bricks)
         return create_brick_tube(
-            comm, length=size, size=size, quarter=True, around=around, along=1,
-            through=(media, adventitia), growth=GROWTH, tetrahedra=kind.tetrahedra,
-        )  # fmt: skip
+            comm,
+            length=size,
+            size=size,
+            quarter=True,
+            around=around,
+            along=1,
+            through=(media, adventitia),
+            growth=GROWTH,
+            tetrahedra=kind.tetrahedra,
+        )
     around = count_around(size, quarter=True)
     return create_tube_wall(comm, length=size, size=size, quarter=True, around=around)
 
@@ -167,7 +175,8 @@ def create_inflated_tube(wall: Wall, *, element: str = "p2-p0", **settings: obje
 
     The settings are further ones of :func:`create_wall_problem`.
     """
-    mesh, kind = wall.mesh, ELEMENTS[element]
+    mesh = wall.mesh
+    kind = ELEMENTS[element]
     body = create_wall_problem(
         wall,
         degree=kind.degree,
@@ -203,7 +212,8 @@ def _polar(mesh: dolfinx.mesh.Mesh) -> tuple[Expr, Expr, Expr]:
     """Return the distance from the axis, e_r and e_θ at each point."""
     x = ufl.SpatialCoordinate(mesh)
     r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
-    e_r, e_t = ufl.as_vector([x[0], x[1], 0.0]) / r, ufl.as_vector([-x[1], x[0], 0.0]) / r
+    e_r = ufl.as_vector([x[0], x[1], 0.0]) / r
+    e_t = ufl.as_vector([-x[1], x[0], 0.0]) / r
     return r, e_r, e_t
 
 
@@ -239,7 +249,8 @@ def _stresses(truth: Tube, r: Array, layer: Numbers) -> tuple[Array, Array]:
 
     Chords lie inside their circle: below a layer its stress is continued.
     """
-    rr, tt = np.zeros_like(r), np.zeros_like(r)
+    rr = np.zeros_like(r)
+    tt = np.zeros_like(r)
     for i, part in enumerate(truth.wall.layers):
         R = np.linspace(part.inner, part.outer, 100)
         R[0] += 1e-9  # at an interface the oracle takes the inner layer

@@ -52,7 +52,8 @@ class Layer:
 
     def free(self, R: float) -> tuple[float, float, float]:
         """Return G_r, G_θ, G_z at a radius, the stretches towards the layer without stress."""
-        k, middle = 360.0 / (360.0 - self.opening), (self.inner + self.outer) / 2.0
+        k = 360.0 / (360.0 - self.opening)
+        middle = (self.inner + self.outer) / 2.0
         λ = k * R / np.sqrt((k * middle) ** 2 + k * self.stretch * (R**2 - middle**2))
         return λ * self.stretch, 1.0 / λ, 1.0 / self.stretch
 
@@ -96,7 +97,8 @@ class Tube:
     @property
     def mean_jacobian(self) -> float:
         """Deformed over reference volume of the wall."""
-        inner, outer = self.wall.layers[0].inner, self.wall.layers[-1].outer
+        inner = self.wall.layers[0].inner
+        outer = self.wall.layers[-1].outer
         area = (self.radius(outer) ** 2 - self.radius(inner) ** 2) / (outer**2 - inner**2)
         return self.wall.stretch * area
 
@@ -130,7 +132,8 @@ def inflate(pressure: float, wall: Wall) -> Tube:
 def _energy(wall: Wall, angle: float, stretches: Sequence[complex]) -> complex:
     """W [kPa] of the elastic stretches λ_r, λ_θ, λ_z, without κ if it is infinite."""
     λ_r, λ_t, λ_z = stretches
-    J, cosine2 = λ_r * λ_t * λ_z, np.cos(np.radians(angle)) ** 2
+    J = λ_r * λ_t * λ_z
+    cosine2 = np.cos(np.radians(angle)) ** 2
     E = J ** (-2 / 3) * (λ_t**2 * cosine2 + λ_z**2 * (1 - cosine2)) - 1
     W = wall.c / 2 * (J ** (-2 / 3) * (λ_r**2 + λ_t**2 + λ_z**2) - 3)
     if E.real > 0:
@@ -143,7 +146,8 @@ def _stresses(
 ) -> tuple[float, float]:
     """P_rR = ∂W/∂λ_r and P_θΘ = ∂W/∂λ_θ [kPa], by a complex step: W' = Im W(λ + i h)/h."""
     G_r, G_t, G_z = layer.free(R)
-    elastic, h = (stretch_r / G_r, stretch_t / G_t, wall.stretch / G_z), 1e-30
+    elastic = (stretch_r / G_r, stretch_t / G_t, wall.stretch / G_z)
+    h = 1e-30
     P_r = _energy(wall, layer.angle, (elastic[0] + 1j * h / G_r, *elastic[1:])).imag / h
     P_t = _energy(wall, layer.angle, (elastic[0], elastic[1] + 1j * h / G_t, elastic[2])).imag / h
     return P_r, P_t
@@ -158,7 +162,8 @@ def _integrate(pressure: float, wall: Wall, r_i: float, dense: bool = False) -> 
         def slope(R: float, y: np.ndarray, layer: Layer = layer) -> tuple[float, float]:
             return _radial(wall, layer, R, y[0] / R, y[1] / R)
 
-        ends, tolerances = (layer.inner, layer.outer), {"rtol": 1e-10, "atol": 1e-12}
+        ends = (layer.inner, layer.outer)
+        tolerances = {"rtol": 1e-10, "atol": 1e-12}
         solutions.append(solve_ivp(slope, ends, state, "DOP853", dense_output=dense, **tolerances))
         state = solutions[-1].y[:, -1]
     return solutions
@@ -180,7 +185,8 @@ def _radial(wall: Wall, layer: Layer, R: float, stretch_t: float, P: float) -> t
     def residual(stretch_r: float) -> float:
         return _stresses(wall, layer, R, stretch_r, stretch_t)[0] - P
 
-    low, high = 0.9 * isochoric, 1.1 * isochoric
+    low = 0.9 * isochoric
+    high = 1.1 * isochoric
     while residual(low) > 0:
         low *= 0.8
     while residual(high) < 0:
@@ -191,9 +197,12 @@ def _radial(wall: Wall, layer: Layer, R: float, stretch_t: float, P: float) -> t
 
 def _root(function: Callable[[float], float], start: float) -> float:
     """The first root around ``start`` of an increasing function: up from it, or else down."""
-    low, high, step = start, 1.05 * start, 0.05 * start
+    low = start
+    high = 1.05 * start
+    step = 0.05 * start
     while function(low) > 0.0:
         low, high = 0.95 * low, low
     while function(high) < 0.0:
-        low, high = high, high + step
+        low = high
+        high = high + step
     return brentq(function, low, high, xtol=1e-13, rtol=1e-13)

@@ -20,20 +20,22 @@ from ufl.core.expr import Expr
 from benchmarks.common.bodies import Body, Held, create_body
 from benchmarks.common.records import Record
 from dolfinx_feti import kinematics, loads, materials
+from dolfinx_feti.meshes.tube import INNER_RADIUS, MEDIA
+from dolfinx_feti.meshes.walls import create_tube_wall, open_wall
 from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.wall import Wall, facets, openings
 from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame
-from meshes.tube import INNER_RADIUS, MEDIA
-from meshes.walls import create_tube_wall, open_wall
 
 INTERFACE = INNER_RADIUS + MEDIA  # mm, between the layers of the tube
 
 #: Length of a clamped tube [mm], and its displacement dofs over the square of its elements along
 #: the axis, by degree.
-LENGTH, DOFS_ALONG = 3.0, {1: 18.0, 2: 125.0}
+LENGTH = 3.0
+DOFS_ALONG = {1: 18.0, 2: 125.0}
 
 #: Length of the elements' edges [mm] that gives the vessel so many displacement dofs, by degree.
-SIZE, DOFS = 2.0, {1: 11_000, 2: 71_430}
+SIZE = 2.0
+DOFS = {1: 11_000, 2: 71_430}
 
 #: |J_τ − 1| above which an element counts as one that does not keep its volume.
 NOTICEABLE = 0.01

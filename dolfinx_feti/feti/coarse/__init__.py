@@ -1,7 +1,36 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What the coarse problems of both methods share.
+"""The coarse problem of each formulation: columns, coarse dofs, coarse matrix, and its solver.
 
-In the order of the data: fields, near, group, gathered, space.
+A *column* is a displacement of the interface that one subdomain contributes; the *coarse dof* of a
+column is its amplitude. The files, by the formulation that they serve:
+
+- both: ``basis`` evaluates all columns on the interface of each subdomain, ``dofmap`` has the
+  owners of the coarse dofs, ``assembly`` adds up the coarse matrix, and ``solver`` solves with it,
+  by a factor of ``fronts`` or ``group``; ``null_space`` makes the coarse matrix regular if a null
+  space is attached to A. The checks of ``regularity`` solve with it, too.
+- primal: ``adaptive`` computes columns in addition to the motions E of the subdomains; ``averaged``
+  makes V of all columns; ``energy`` combines those that depend on each other; ``products`` stores
+  Vᵀ A; ``zero_energy`` detects mechanisms; ``rounding`` bounds the errors of energies;
+  ``primal_problem`` has A₀ = Vᵀ A V and the projection with it.
+- dual: ``weighted_columns`` stores M G; ``dual_problem`` has G = B E and N = Gᵀ Q G + D. The
+  columns are the motions E and no others, because the defect D belongs to them.
+
+The paper is C. M. Augustin, G. A. Holzapfel and O. Steinbach, *IJNME* 99
+(2014) 290-312.
+
+**Further columns of the primal formulation**, such as unit displacements of corner dofs, are a
+function that returns columns U_i of each subdomain, (n_{Γ,i}, any number), as ``adaptive`` does.
+``primal.preconditioner`` appends them to E. Nothing else changes: owners, blocks and matrices
+follow from the widths of the U_i.
+
+A column has one contributor. Averaging spreads it to the neighbours: the unit vector of a dof in
+one of its copies becomes δ times that of the assembled dof. If several subdomains contributed it,
+their averages would be multiples of one field. That is allowed, but A₀ then has a zero pivot for
+each repetition, and MUMPS factors it in place of the faster fronts. The pairs of ``Copies`` number
+the copies of a dof over all processes; that with the smallest number may be its contributor.
+
+In the order of the data: rounding, adaptive, basis, dofmap, assembly, averaged, energy, group,
+fronts, solver, null_space, products, zero_energy, primal_problem, weighted_columns, dual_problem.
 """

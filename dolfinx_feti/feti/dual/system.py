@@ -1,149 +1,237 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The dual system and its preconditioner, in the pair (λ, s) (docs/theory.md).
+r"""The dual system for (λ, s), its balanced start, and the constraint preconditioner.
 
 .. math:: \begin{pmatrix} F & -G \\ -G^⊤ & -D \end{pmatrix}
           \begin{pmatrix} λ \\ s \end{pmatrix} = \begin{pmatrix} d \\ -e \end{pmatrix}, \qquad
-          w = N^{-1} G^⊤ Q\, r, \quad y = M (r - G w), \quad v = N^{-1}(G^⊤ y - D w), \quad
-          z = (y - Q G v,\; -w - v)
+          F = B K^+ B^⊤, \quad d = B K^+ f - c, \quad e = E^⊤ f
 
-(eq. 41; eq. 42, Augustin_eq:classicalFetiF; eq. 43). For D = 0, and no M in Q, CG leaves s as it is
-(``frozen``; eq. 45, Augustin_eq:dualProblem), or its rounding errors might grow.
+(eq. 41; eq. 42; eq. 43, where D = 0). The first row is the jump between the copies, the second the
+balance of forces on each subdomain. The start
+
+.. math:: s_0 = N^{-1} e, \qquad λ_0 = Q G s_0, \qquad N = G^⊤ Q G + D
+
+(eq. 47) satisfies the second row. The constraint preconditioner maps a residual (r, 0) to a
+correction z = (z_λ, z_s) with :math:`G^⊤ z_λ + D z_s = 0`,
+
+.. math:: w = N^{-1} G^⊤ Q\, r, \quad y = M (r - G w), \quad v = N^{-1}(G^⊤ y - D w), \quad
+          z = (y - Q G v,\; -w - v).
+
+Start and corrections satisfy the second row, so all iterates do, all residuals are (r, 0), and only
+the jump r is computed.
+
+The weight Q is diag(q), or M + diag(q) with a small q that makes Q definite
+(``coarse/projection``). In the second case :math:`y = Q (r - G w)` replaces M (r − G w), and
+:math:`G^⊤ Q (r - G w) = D w` yields v = 0. If D = 0 and Q = diag(q), z_λ is that of the projected
+system (eq. 45), which does not contain s.
 """
 
 from __future__ import annotations
 
-from petsc4py import PETSc
+from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_feti.feti.dual.coarse import Coarse
-from dolfinx_feti.feti.dual.preconditioner import LinearMap, Preconditioner
-from dolfinx_feti.feti.gluing.jump import Gluing
-from dolfinx_feti.feti.subdomain.pseudoinverse import PseudoInverse
+from dolfinx_feti.feti.coarse.dual_problem import DualCoarseProblem
+from dolfinx_feti.feti.interface.gluing import Gluing
+from dolfinx_feti.feti.preconditioners.base import Preconditioner
+from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import total
+from dolfinx_feti.runtime.linear_map import LinearMap
+
+
+@dataclass(frozen=True, slots=True)
+class DualUnknowns:
+    """A vector (λ, s) of the dual system.
+
+    It is *balanced* for a load f if Gᵀ λ + D s = Eᵀ f: the forces on each subdomain balance.
+
+    Attributes:
+        lam: Multipliers λ of the gluing, (m,).
+        s: Coarse unknowns s, the amplitudes of the motions of the subdomains, (n_c,).
+    """
+
+    lam: Array
+    s: Array
+
+    def __add__(self, other: DualUnknowns) -> DualUnknowns:
+        """Return the sum of two vectors."""
+        return DualUnknowns(self.lam + other.lam, self.s + other.s)
 
 
 class DualSystem:
-    """The dual system and its constraint preconditioner on the local parts of (λ, s), (m + K,).
+    """The dual system of one matrix with its constraint preconditioner.
+
+    B and G are distributed matrices, with m rows on this process and n or n_c columns.
 
     Attributes:
+        inverse: K⁺.
+        preconditioner: M.
+        coarse: Coarse problem: E, G, D, Q and the factored N.
         comm: Communicator of the torn matrix.
-        m: Multipliers of this process.
-        size: Multipliers and coarse unknowns of this process, m + K.
-        exact: Whether D = 0, so that s may change alone.
-        frozen: Whether the preconditioner leaves s as it is.
-        B: Jumps, (m, n).
-        G: B E, (m, K).
-        norm: Residual of the assembled system that the vector which was last preconditioned leaves.
+        B: Jump operator.
+        G: B E.
+        m: Number of multipliers of this process.
+        has_exact_kernel: Whether D = 0. The balance is then a condition on λ alone.
+        has_M_in_Q: Whether Q = M + diag(q) rather than diag(q).
+        omits_s: Whether corrections z have s = 0, as the projected system has no s. :meth:`project`
+            computes s after the iterations.
     """
 
     def __init__(
         self,
         gluing: Gluing,
-        inverse: PseudoInverse,
+        inverse: GeneralizedInverse,
         preconditioner: Preconditioner,
-        coarse: Coarse,
+        coarse: DualCoarseProblem,
         *,
-        cg: bool,
+        is_cg: bool,
     ) -> None:
-        """Take B, K⁺, M, and G, Q, D and N, for CG or another method."""
-        self._inverse = inverse
-        self._M = preconditioner
-        self._coarse = coarse
+        """Combine the parts of the system; their owners destroy them.
+
+        Args:
+            gluing: The constraints, with B.
+            inverse: K⁺.
+            preconditioner: M.
+            coarse: Coarse problem: E, G, D, Q and the factored N.
+            is_cg: Whether the Krylov method is CG or FCG. They do not depend on s: their scalar
+                products are those of λ alone. On the jump grids (``dual/__init__``), Q = diag(q),
+                they take 4 % more iterations with s in z, and FCG up to 2.3 times as many.
+        """
+        self.inverse = inverse
+        self.preconditioner = preconditioner
+        self.coarse = coarse
         self._torn = preconditioner.operator.torn
         self.comm = self._torn.comm
-        self.exact = coarse.exact
-        self.frozen = cg and coarse.MG is None and coarse.exact
-        self.B, self.G = LinearMap(gluing.B), LinearMap(coarse.G)
-        self._D, self._q = LinearMap(coarse.D), coarse.q.array_r.copy()
+        self.has_exact_kernel = coarse.has_exact_kernel
+        self.has_M_in_Q = coarse.MG is not None
+        self.omits_s = is_cg and self.has_exact_kernel and not self.has_M_in_Q
+        self.B = LinearMap(gluing.B)
+        self.G = LinearMap(coarse.G)
+        self._D = LinearMap(coarse.D)
+        self._q = coarse.q.array_r.copy()
         self.m = self.B.shape[0]
-        self.size = self.m + coarse.size
-        self.norm = np.inf
 
-    # -- the system -------------------------------------------------------------------------------
-
-    def split(self, x: Array) -> tuple[Array, Array]:
-        """Return views of λ, (m,), and s, (K,)."""
-        return x[: self.m], x[self.m :]
+    # -- product and start ------------------------------------------------------------------------
 
     def flexibility(self, lam: Array) -> Array:
-        """Apply the flexibility, F λ = B K⁺ Bᵀ λ, (m,)."""
-        return self.B @ self._inverse.solve(self.B.T @ lam)  # B K⁺ Bᵀ λ
+        """Return F λ, (m,) → (m,). Collective."""
+        return self.B @ self.inverse.solve(self.B.T @ lam)  # F λ = B K⁺ Bᵀ λ
 
-    def jump(self, x: Array) -> Array:
-        """Compute the jump of pairs, F λ − G s, (m + K,) → (m,)."""
-        lam, s = self.split(x)
-        return self.flexibility(lam) - self.G @ s  # F λ − G s
+    def multiply(self, x: DualUnknowns) -> Array:
+        """Return the first row of the system times x = (λ, s), F λ − G s, (m,). Collective.
 
-    def weighted_jump(self, s: Array) -> Array:
-        """Return Q G s, (K,) → (m,)."""
-        diagonal = self._q * (self.G @ s)  # q G s
-        MG = self._coarse.MG
-        return diagonal if MG is None else diagonal + MG.multiply(s)
-
-    def multiply(self, x: Array) -> Array:
-        """Apply the dual system to a balanced pair, (F λ − G s, 0).
-
-        The second part, Gᵀ λ + D s, is zero up to rounding, which must not enter a Krylov method.
+        The second row is zero for the corrections of the preconditioner, up to rounding errors.
+        These are left out, because the preconditioner takes the second row of a residual as zero.
         """
-        return np.concatenate([self.jump(x), np.zeros(self.size - self.m)])
+        return self.flexibility(x.lam) - self.G @ x.s  # F λ − G s
 
-    # -- PETSc's calls ----------------------------------------------------------------------------
+    def balance(self, f: Array) -> DualUnknowns:
+        """Compute (λ₀, s₀), which is balanced for a load f on the dofs of K⁺, (n,). Collective."""
+        s = self.coarse.solve(self.coarse.restrict(f))  # s₀ = N⁻¹ e, e = Eᵀ f
+        return DualUnknowns(self.weighted_jump(s), s)  # λ₀ = Q G s₀
 
-    def mult(self, _mat: PETSc.Mat, x: PETSc.Vec, y: PETSc.Vec) -> None:
-        """Apply the system."""
-        y.array[:] = self.multiply(x.array_r)
+    def start(self, f: Array, c: Array) -> tuple[DualUnknowns, Array]:
+        """Compute the start of the Krylov method and its residual. Collective.
 
-    def apply(self, _pc: PETSc.PC, r: PETSc.Vec, z: PETSc.Vec) -> None:
-        """Apply the preconditioner."""
-        z.array[:], self.norm = self.precondition(r.array_r)
+        Args:
+            f: Load on the dofs of K⁺, (n,).
+            c: Gap, (m,).
 
-    # -- its preconditioner -----------------------------------------------------------------------
-
-    def precondition(self, x: Array) -> tuple[Array, float]:
-        """Apply the constraint preconditioner to a residual (r, 0); return z, (m + K,), and ‖Tᵀ t‖.
-
-        That is the residual of the assembled system which r leaves once s is best. Collective.
+        Returns:
+            (λ₀, s₀), and its jump r = d − F λ₀ + G s₀, (m,). If D = 0, s₀ is the one with the
+            smallest jump, in the norm of Q, in place of N⁻¹ e.
         """
-        r, w = self.project(x[: self.m])
-        y, t = self._M.apply(r)  # y = M (r − G w)
-        if self._coarse.MG is not None:
-            return np.concatenate([y + self._q * r, -w]), self._norm(t)  # (Q (r − G w), −w)
+        start = self.balance(f)
+        d = self.B @ self.inverse.solve(f) - c  # d = B K⁺ f − c
+        r = d - self.multiply(start)  # r = d − F λ₀ + G s₀
+        if self.has_exact_kernel:
+            r, w = self.project(r)
+            start = DualUnknowns(start.lam, start.s + w)
+        return start, r
+
+    # -- constraint preconditioner ----------------------------------------------------------------
+
+    def precondition(self, r: Array) -> tuple[DualUnknowns, float]:
+        """Apply the constraint preconditioner to a residual (r, 0). Collective.
+
+        Args:
+            r: Jump, (m,).
+
+        Returns:
+            z, and ‖Tᵀ t‖ of the jump r − G w. If D = 0, this is the norm of the residual of the
+            assembled system that :func:`~dolfinx_feti.feti.dual.recovery.recover` leaves; otherwise
+            an estimate, because :func:`recover` does not remove G w then.
+        """
+        r, w = self.project(r)  # r ← r − G w
+        y, t = self.preconditioner.apply(r)  # y = M (r − G w)
+        if self.has_M_in_Q:  # v = 0
+            z = DualUnknowns(y + self._q * r, -w)  # (Q (r − G w), −w)
+            return z, self._norm_of_force(t)
+        # The coarse solve has to communicate; the sum of ‖Tᵀ t‖² over the processes travels along.
         e = self.G.T @ y - self._D @ w
-        v, square = self._coarse.solve_and_sum(e, self._square(t))  # v = N⁻¹ (Gᵀ y − D w)
-        s = np.zeros_like(w) if self.frozen else -w - v
-        z = np.concatenate([y - self.weighted_jump(v), s])  # (y − Q G v, −w − v)
+        v, square = self.coarse.solve_and_sum(e, self._local_square(t))  # v = N⁻¹ (Gᵀ y − D w)
+        s = np.zeros_like(w) if self.omits_s else -w - v
+        z = DualUnknowns(y - self.weighted_jump(v), s)  # (y − Q G v, −w − v)
         return z, float(np.sqrt(square))
 
     def project(self, r: Array) -> tuple[Array, Array]:
-        """Take from a jump what a motion of the kernels can remove, r − G w; return it and w."""
-        e = self._restrict(r)
-        w = self._coarse.solve(e)  # w = N⁻¹ Gᵀ Q r
+        """Subtract the jump of subdomain motions from a jump, P r if D = 0. Collective.
+
+        Args:
+            r: Jump, (m,).
+
+        Returns:
+            r − G w, (m,), and the amplitudes w = N⁻¹ Gᵀ Q r, (n_c,). If D = 0, w minimises r − G w
+            in the norm of Q.
+        """
+        w = self.coarse.solve(self._restrict(r))  # w = N⁻¹ Gᵀ Q r
         return r - self.G @ w, w
 
-    def unbalanced(self, x: Array) -> float:
-        """Return the residual of the assembled system, ‖Tᵀ t‖, that a residual (r, 0) leaves."""
-        r = self.project(x[: self.m])[0] if self.exact else x[: self.m]
-        return self._norm(self._M.apply(r)[1])
+    def weighted_jump(self, s: Array) -> Array:
+        """Return Q G s, (n_c,) → (m,). Collective."""
+        diagonal = self._q * (self.G @ s)  # q G s
+        MG = self.coarse.MG
+        return diagonal if MG is None else diagonal + MG.multiply(s)
 
     def _restrict(self, r: Array) -> Array:
-        """Return Gᵀ Q r, (m,) → (K,)."""
-        weighed, MG = self.G.T @ (self._q * r), self._coarse.MG
-        return weighed if MG is None else weighed + MG.restrict(r)
+        """Return Gᵀ Q r, (m,) → (n_c,). Collective."""
+        diagonal = self.G.T @ (self._q * r)  # Gᵀ q r
+        MG = self.coarse.MG
+        return diagonal if MG is None else diagonal + MG.multiply_transposed(r)
 
-    def _norm(self, t: Array) -> float:
-        """Return ‖Tᵀ t‖ on the free dofs for a torn force, (n,)."""
-        return float(np.sqrt(total(self._square(t), self.comm)))
+    # -- the residual of the assembled system -----------------------------------------------------
 
-    def _square(self, t: Array) -> float:
-        """Return the process's part of ‖Tᵀ t‖²."""
-        force = self._torn.assemble(np.where(self._torn.dirichlet, 0.0, t))
+    def assembled_norm(self, r: Array) -> float:
+        """Return the norm of the assembled residual that the recovery leaves. Collective.
+
+        Args:
+            r: Jump of (λ, s), (m,).
+
+        Returns:
+            ‖Tᵀ t‖ of r − G w if D = 0, and of r otherwise: the recovery corrects s in the first
+            case alone.
+        """
+        if self.has_exact_kernel:
+            r, _ = self.project(r)
+        _, t = self.preconditioner.apply(r)
+        return self._norm_of_force(t)
+
+    def _norm_of_force(self, t: Array) -> float:
+        """Return ‖Tᵀ t‖ on the free dofs for an unbalanced force t, (n,). Collective."""
+        return float(np.sqrt(total(self._local_square(t), self.comm)))
+
+    def _local_square(self, t: Array) -> float:
+        """Return the part of ‖Tᵀ t‖² of the free dofs that this process owns, for t, (n,).
+
+        Collective, because summing copies communicates; the parts are not summed.
+        """
+        force = self._torn.assemble(np.where(self._torn.dirichlet_copies, 0.0, t))
         return float(force @ force)
 
     def destroy(self) -> None:
-        """Free the work vectors."""
-        for owned in (self.B, self.G, self._D):
-            owned.destroy()
+        """Free the work vectors of the products."""
+        for linear_map in (self.B, self.G, self._D):
+            linear_map.destroy()

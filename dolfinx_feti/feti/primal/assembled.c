@@ -2,23 +2,43 @@
 //
 // SPDX-License-Identifier: LGPL-3.0-or-later
 //
-// Blocks of symmetric matrices, m rows in any order, by their lower triangle row by row.
+// Blocks of symmetric matrices on b of their rows: the lower triangle of the block, row by row,
+// (b (b + 1) / 2).
 
 #include <stddef.h>
 
-// Copy a block of S, of order n, whose lower triangle stands in packed format.
-void copy_block(int n, const double *S, int m, const int *rows, double *block)
+// Copy a block of S.
+//   n:      order of S
+//   S:      its lower triangle column by column, LAPACK's packed format, (n (n + 1) / 2)
+//   b:      number of rows
+//   rows:   rows of S, in any order, (b)
+//   block:  the block on these rows, output, (b (b + 1) / 2)
+void copy_block(int n, const double *S, int b, const int *rows, double *block)
 {
-    for (int a = 0; a < m; ++a)
-        for (int b = 0; b <= a; ++b) {
-            const int i = rows[a] > rows[b] ? rows[a] : rows[b], j = rows[a] + rows[b] - i;
-            *block++ = S[i + (ptrdiff_t)j * (2 * n - j - 1) / 2];
+    for (int k = 0; k < b; ++k) {
+        for (int l = 0; l <= k; ++l) {
+            const int i = rows[k] > rows[l] ? rows[k] : rows[l];
+            const int j = rows[k] > rows[l] ? rows[l] : rows[k];
+            const ptrdiff_t column = (ptrdiff_t)j * (2 * n - j - 1) / 2; // entry (i, j) is at column + i
+            *block = S[i + column];
+            ++block;
         }
+    }
 }
 
-// Add a block to A, (n, n) column by column, of which the lower triangle is there; rows ascend.
-void add_block(int n, float *A, int m, const int *rows, const double *block)
+// Add a block to the lower triangle of A, diagonal included.
+//   n:      order of A
+//   A:      the matrix column by column, (n, n)
+//   b:      number of rows
+//   rows:   rows of A, ascending, (b)
+//   block:  the block on these rows, (b (b + 1) / 2)
+void add_block(int n, float *A, int b, const int *rows, const double *block)
 {
-    for (int a = 0; a < m; ++a)
-        for (int b = 0; b <= a; ++b) A[rows[a] + (ptrdiff_t)n * rows[b]] += (float)*block++;
+    for (int k = 0; k < b; ++k) {
+        for (int l = 0; l <= k; ++l) {
+            const ptrdiff_t column = (ptrdiff_t)n * rows[l]; // entry (i, rows[l]) is at column + i
+            A[rows[k] + column] += (float)*block;
+            ++block;
+        }
+    }
 }

@@ -1,8 +1,33 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""One subdomain alone: its matrix, its kernel, its generalised inverse.
+"""One subdomain alone: its matrix, its Schur complement, its modes, its generalised inverse.
 
-In the order of the data: panels, blocks, orthonormal, factors, modes, nullspace, analysis,
-operator, soft, pseudoinverse.
+A set-up makes four calls, in this order:
+
+1. ``create_subdomains`` sorts the dofs. A ``Subdomain`` lasts as long as the pattern.
+2. ``analyse`` chooses how matrices are factored (``factors``), and orders the eliminations. An
+   ``Analysis`` lasts as long as the pattern.
+3. ``create_schur_operator`` factors K_II, and forms S if the interior is eliminated. The
+   ``SchurOperator`` belongs to one matrix: it is destroyed when the entries of K change.
+4. ``create_generalized_inverse`` computes the modes, and factors K_ρ, or S_ρ. The
+   ``GeneralizedInverse`` does not refer to the matrix, so that later matrices may reuse it.
+
+Steps 1 and 2 are collective. Steps 3 and 4 work on one process alone, inside of
+``failures.on_subdomains``. The other files:
+
+- Tools: failures, blocks, block_diagonal, panels, orthonormal.
+- The matrices: matrix (K_i), schur (S_i).
+- The modes without energy: kernel_detection (the procedure and its tolerances), null_space,
+  interior (those of K_II).
+- All modes: modes, scaled, soft_modes, mode_search.
+
+In shapes, n_i is the number of dofs of subdomain i that are not fixed, n_{Γ,i} of those on its
+interface, n_{I,i} of those in its interior; n and n_Γ are the sums of all torn dofs and of all
+n_{Γ,i} of this process. If the interior is eliminated, S_i takes the place of K_i, and n_{Γ,i} that
+of n_i. *The paper* is Augustin, Holzapfel and Steinbach 2014 (docs/theory.md).
+
+In the order of the data: subdomain, failures, blocks, block_diagonal, panels, orthonormal, factors,
+analysis, matrix, schur, schur_operator, kernel_detection, null_space, interior, modes, scaled,
+soft_modes, mode_search, generalized_inverse.
 """

@@ -1,114 +1,156 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""What the pattern tells of the factors: whether the interior is eliminated, and in what order.
+r"""Whether the interior of the subdomains is eliminated; symbolic factors of their matrices.
 
-If the interior is *kept*, :math:`K_ρ^{-1}` and S are applied by sparse factors; if it is
-*eliminated*, S is formed, a dense block of the size of Γ. ``auto`` does so if that takes about the
-memory of the factors (:data:`DENSITY`), or a pressure is condensed, as adaptive columns need S.
+If the interior is *kept*, S and :math:`K_ρ^{-1}` are applied by sparse factors of :math:`K_{II}`
+and :math:`K_ρ`. If it is *eliminated*, S is formed: a dense matrix of the size of Γ for each
+subdomain, of which :math:`S_ρ` is factored. The option ``feti_interior auto`` eliminates in two
+cases: if the S take about the memory of the sparse factors (:data:`MAX_DENSITY`), or if a pressure
+is condensed, because the iterations then depend on adaptive columns, which are exact only if S is
+formed (docs/theory.md).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_feti.feti.gluing.jump import Dofs
-from dolfinx_feti.feti.subdomain.blocks import on_subdomains
-from dolfinx_feti.feti.subdomain.factors.direct import Choice
-from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, create_fronts, load_fronts_for
-from dolfinx_feti.runtime.arrays import Indices
-from dolfinx_feti.runtime.petsc_library import reads_in_place
+from dolfinx_feti.feti.subdomain.factors.create import analyse_blocks
+from dolfinx_feti.feti.subdomain.factors.petsc_solver import FactorOptions
+from dolfinx_feti.feti.subdomain.factors.protocol import SymbolicFactor
+from dolfinx_feti.feti.subdomain.subdomain import Subdomain
+from dolfinx_feti.feti.subsolver_options import SubsolverOptions
 from dolfinx_feti.torn.matrix import Torn
 
-#: Entries of S for each :math:`n^{4/3}`, which is how a sparse factor in three dimensions grows.
-DENSITY = 30.0
+#: Entries of all S, over the sum of all :math:`n_i^{4/3}`, up to which S is formed: the entries of
+#: a sparse factor in three dimensions grow like that, with a coefficient of about this size.
+MAX_DENSITY = 30.0
 
-#: Largest interface of a subdomain whose interior is eliminated: 32 MiB.
-LARGEST = 2048
+#: Dofs of the largest interface with which S is formed. A memory bound: 2048² doubles are 32 MiB.
+MAX_INTERFACE = 2048
 
-#: Right-hand sides that MUMPS treats at once: for K_ρ, and for K_II whose interior is eliminated.
-RIGHT_HAND_SIDES = 32, 256
+#: Right-hand sides that MUMPS solves for at once with K_ρ, whose columns are modes. A memory bound:
+#: 32 columns of 10⁴ dofs are 2.4 MiB.
+RIGHT_HAND_SIDES = 32
+
+#: The same with K_II where S is formed by solves, which have a column for each dof of Γ. A memory
+#: bound: 256 columns of 10⁴ dofs are 20 MiB.
+RIGHT_HAND_SIDES_FOR_S = 256
+
+
+@dataclass(frozen=True, slots=True)
+class SubdomainAnalysis:
+    """One subdomain with its symbolic factors.
+
+    Attributes:
+        subdomain: The subdomain.
+        symbolic: Symbolic factor of K_i; None if PETSc factors K_i, or if it is not factored,
+            because S_i takes its place.
+        interior_symbolic: Symbolic factor of K_II, or, if the interior is eliminated, of K_i with
+            the interface Γ, which leaves S_i. None if PETSc factors K_II, or if it is not factored.
+    """
+
+    subdomain: Subdomain
+    symbolic: SymbolicFactor | None
+    interior_symbolic: SymbolicFactor | None
 
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """How the blocks of the subdomains are factored.
+    """How the matrices of all subdomains of this process are factored.
 
     Attributes:
-        eliminated: Whether the interior is eliminated, and S is formed.
-        local: How K_ρ is factored with pivots.
-        interior: How K_II is factored with pivots; None if no K_II is.
-        local_fronts: The fronts of K_ρ; None if it has pivots from the start.
-        interior_fronts: The fronts of K_II, with Γ as what remains where S is formed; likewise.
+        is_eliminated: Whether the interior is eliminated, and S is formed.
+        has_interior_factors: Whether K_II is factored; always if the interior is eliminated.
+        local_options: How PETSc factors K_ρ, if it does.
+        interior_options: How PETSc factors K_II, if it does.
+        by_subdomain: The subdomains of this process with their symbolic factors.
     """
 
-    eliminated: bool
-    local: Choice
-    interior: Choice | None
-    local_fronts: list[Fronts] | None
-    interior_fronts: list[Fronts] | None
+    is_eliminated: bool
+    has_interior_factors: bool
+    local_options: FactorOptions
+    interior_options: FactorOptions
+    by_subdomain: list[SubdomainAnalysis]
+
+    @property
+    def subdomains(self) -> list[Subdomain]:
+        """The subdomains of this process."""
+        return [analysed.subdomain for analysed in self.by_subdomain]
 
 
 def analyse(
-    torn: Torn, dofs: Dofs, choice: str, *, symmetric: bool, with_interior: bool, prefix: str
+    torn: Torn,
+    subdomains: list[Subdomain],
+    interior: Literal["auto", "keep", "eliminate"],
+    *,
+    symmetric: bool,
+    needs_interior_factors: bool,
+    subsolvers: SubsolverOptions,
 ) -> Analysis:
     """Choose how to factor, and order the eliminations. Collective.
 
-    ``choice`` is the option of the interior; ``with_interior`` tells whether K_II is factored where
-    the interior is kept. ``local_`` (K_ρ) or ``dirichlet_`` (K_II) is added to the prefix.
+    Args:
+        torn: The torn matrix.
+        subdomains: The subdomains of this process.
+        interior: The option ``feti_interior``; not ``eliminate`` for an unsymmetric K.
+        symmetric: Whether K is symmetric.
+        needs_interior_factors: Whether K_II is factored even if the interior is kept.
+        subsolvers: Options of the factors.
+
+    Raises:
+        SetUpError: The analysis of a block failed; on all processes.
     """
-    eliminated = choice == "eliminate"
-    if choice == "auto":
-        eliminated = symmetric and worth_eliminating(torn, dofs)
-    local = Choice(prefix + "local_", symmetric, RIGHT_HAND_SIDES[0])
-    interior = Choice(prefix + "dirichlet_", symmetric, RIGHT_HAND_SIDES[eliminated])
-    none = [np.zeros(0, dtype=np.int32)] * len(dofs.free)
-    if eliminated:
-        borders = [np.flatnonzero(on).astype(np.int32) for on in dofs.on_interface]
-        fronts = _find_fronts(torn, dofs.free, borders, interior)
-        return Analysis(True, local, interior, None, fronts)
-    local_fronts = _find_fronts(torn, dofs.free, none, local)
-    if not with_interior:
-        return Analysis(False, local, None, local_fronts, None)
-    fronts = _find_fronts(torn, dofs.interior, none, interior)
-    return Analysis(False, local, interior, local_fronts, fronts)
+    is_eliminated = interior == "eliminate"
+    if interior == "auto":
+        is_eliminated = symmetric and is_worth_eliminating(torn, subdomains)
+    interior_columns = RIGHT_HAND_SIDES_FOR_S if is_eliminated else RIGHT_HAND_SIDES
+    local_options = FactorOptions(subsolvers.local, symmetric, RIGHT_HAND_SIDES)
+    interior_options = FactorOptions(subsolvers.dirichlet, symmetric, interior_columns)
+    free_dofs = [s.free_dofs for s in subdomains]
+    no_interfaces = [np.zeros(0, dtype=np.int32) for _ in subdomains]
+    symbolic: Sequence[SymbolicFactor | None] = [None] * len(subdomains)
+    interior_symbolic: Sequence[SymbolicFactor | None] = [None] * len(subdomains)
+    if is_eliminated:
+        interfaces = [np.flatnonzero(s.is_on_interface).astype(np.int32) for s in subdomains]
+        interior_symbolic = analyse_blocks(torn, free_dofs, interfaces, interior_options)
+    else:
+        symbolic = analyse_blocks(torn, free_dofs, no_interfaces, local_options)
+        if needs_interior_factors:
+            interiors = [s.interior for s in subdomains]
+            interior_symbolic = analyse_blocks(torn, interiors, no_interfaces, interior_options)
+    return Analysis(
+        is_eliminated=is_eliminated,
+        has_interior_factors=is_eliminated or needs_interior_factors,
+        local_options=local_options,
+        interior_options=interior_options,
+        by_subdomain=[
+            SubdomainAnalysis(s, of_K_i, of_interior)
+            for s, of_K_i, of_interior in zip(subdomains, symbolic, interior_symbolic, strict=True)
+        ],
+    )
 
 
-def _find_fronts(
-    torn: Torn, blocks: Sequence[Indices], interfaces: Sequence[Indices], choice: Choice
-) -> list[Fronts] | None:
-    """Find the fronts of disjoint blocks, whose interfaces are not eliminated. Collective.
+def is_worth_eliminating(torn: Torn, subdomains: Sequence[Subdomain]) -> bool:
+    """Return True if ``feti_interior auto`` eliminates. Collective.
 
-    There are none for unsymmetric matrices, where the options name a solver, and with indices of
-    64 bits in PETSc: rows would have to be copied for every factor.
+    It does if no interface is large (:data:`MAX_INTERFACE`), and all S take about the memory of
+    sparse factors (:data:`MAX_DENSITY`), or a pressure is condensed.
     """
-    code = load_fronts_for(choice.prefix, torn.comm)
-    if code is None or not choice.symmetric or not reads_in_place():
-        return None
-
-    def find() -> list[Fronts]:
-        number = np.full(torn.n, -1, dtype=np.int32)
-        for rows in blocks:
-            number[rows] = np.arange(len(rows))
-        bs, pairs = torn.K.getBlockSize(), zip(blocks, interfaces, strict=True)
-        return [create_fronts(code, torn.graph, rows, number, bs, on) for rows, on in pairs]
-
-    return on_subdomains(find, torn.comm)
-
-
-def worth_eliminating(torn: Torn, dofs: Dofs) -> bool:
-    """Tell whether S of every subdomain is wanted, and small. Collective.
-
-    It is wanted where it takes about the memory of sparse factors, or a pressure is condensed.
-    """
-    n = np.array([len(rows) for rows in dofs.free], dtype=np.float64)
-    glued = np.array([len(rows) for rows in dofs.interface], dtype=np.float64)
-    dense, sparse = torn.comm.allreduce(np.array([(glued**2).sum(), (n ** (4 / 3)).sum()]))
-    largest = torn.comm.allreduce(glued.max(initial=0.0), op=MPI.MAX)
-    wanted = dense <= DENSITY * sparse or torn.pressures is not None
-    return bool(wanted and largest <= LARGEST)
+    dofs = np.array([len(s.free_dofs) for s in subdomains], dtype=np.float64)
+    on_interface = np.array([len(s.interface) for s in subdomains], dtype=np.float64)
+    dense, sparse = torn.comm.allreduce(
+        np.array([(on_interface**2).sum(), (dofs ** (4 / 3)).sum()])
+    )
+    largest = torn.comm.allreduce(on_interface.max(initial=0.0), op=MPI.MAX)
+    # If a pressure is condensed, the count is set on all processes: 0 on one without cells, not
+    # None. So all processes agree without communication.
+    has_condensed_pressure = torn.pressures is not None
+    is_worth_it = dense <= MAX_DENSITY * sparse or has_condensed_pressure
+    return bool(is_worth_it and largest <= MAX_INTERFACE)

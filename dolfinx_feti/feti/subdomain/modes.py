@@ -1,10 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The modes R of the subdomains, the regularised kernels E and the defects D, for one matrix.
+r"""The modes of one subdomain for one matrix: R and Y, the displacements E, and the defect D.
 
-``pseudoinverse`` finds them (eq. 39, Augustin_eq:localSolutions), and the coarse problem and the
-preconditioner are made from them.
+.. math:: K_ρ = K + ρ\, R R^⊤, \quad K^+ = (K_ρ + ρ\, Y Y^⊤)^{-1}, \quad
+          E = ρ\, K^+ (R, Y), \quad D = ρ\, (I - (R, Y)^⊤ E)
+
+(eq. 39 of the paper: E = R and D = 0 if K R = 0 and there is no Y). R are rigid modes, null vectors
+and buckling modes; they are in the factor of :math:`K_ρ`. Y are soft modes, which are not. The
+columns of E are coarse displacements of the dual form, and on the interface those of the primal
+one. ``mode_search`` computes all of them.
 """
 
 from __future__ import annotations
@@ -13,57 +18,70 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dolfinx_feti.feti.subdomain.kernel_detection import MAX_NORM_ON_FIXED_DOFS
 from dolfinx_feti.feti.subdomain.orthonormal import null_combinations, orthonormal
 from dolfinx_feti.runtime.arrays import Array, Mask
-
-#: A mode of size one that is smaller than this on Dirichlet dofs vanishes there: the square root of
-#: rounding.
-UNSUPPORTED = 1e-8
 
 
 @dataclass(frozen=True, slots=True)
 class SubdomainModes:
-    """The modes of one subdomain for one matrix, on the dofs of its matrix.
+    """The modes of one subdomain for one matrix K_i, (n_i, n_i), or S_i, with n_{Γ,i} for n_i.
 
     Attributes:
-        R: Orthonormal modes, (n_i, k).
-        E: The kernel, regularised, (n_i, k).
-        D: Defect of the kernel, (k, k); zero while K R = 0.
+        R: Modes of K_ρ, (n_i, k): rigid modes, then null vectors, then buckling modes. They are
+            orthonormal; in a scaled matrix (``scaled``) s times orthonormal.
+        Y: Soft modes, (n_i, k_Y), orthogonal to R in the same sense.
+        E: ρ K⁺ (R, Y), (n_i, k + k_Y): in place of the kernel, which it is if K R = 0.
+        D: Its defect, (k + k_Y, k + k_Y); zero if K R = 0.
         stabilisation: Columns Z of K₊ = K + Z Zᵀ, (n_i, negative eigenvalues of D).
-        exact: Whether K R = 0 holds.
-        softened: Whether stress softens the rigid motions by a noticeable share of the stiffness.
+        is_exact: Whether K R = 0 holds, and there are no soft modes: E = R, D = 0.
+        is_softened: Whether stress softens the subdomain: D has a negative eigenvalue that is
+            large in comparison with the stiffness of the interface
+            (``mode_search.MIN_SOFTENING``).
         rho: The stiffness ρ.
-        kernel: Number of modes that are not elastic, the first ones of R: rigid ones, null vectors.
-        null: Number of null vectors that are not rigid.
-        soft: Number of soft modes, the last ones.
+        rigid_size: Number of rigid modes.
+        null_size: Number of null vectors that are not rigid.
     """
 
     R: Array
+    Y: Array
     E: Array
     D: Array
     stabilisation: Array
-    exact: bool
-    softened: bool
+    is_exact: bool
+    is_softened: bool
     rho: float
-    kernel: int
-    null: int
-    soft: int
+    rigid_size: int
+    null_size: int
 
     @property
-    def Y(self) -> Array:
-        """The soft modes, (n_i, soft)."""
-        return self.R[:, self.R.shape[1] - self.soft :]
+    def soft_size(self) -> int:
+        """Number of soft modes."""
+        return self.Y.shape[1]
+
+    @property
+    def buckling_size(self) -> int:
+        """Number of buckling modes."""
+        return self.R.shape[1] - self.rigid_size - self.null_size
 
     @property
     def E_Y(self) -> Array:
-        """E of the soft modes, (n_i, soft)."""
-        return self.E[:, self.E.shape[1] - self.soft :]
+        """E of the soft modes, its last columns, (n_i, k_Y)."""
+        return self.E[:, self.E.shape[1] - self.soft_size :]
 
 
-def kernel_basis(modes: Array, fixed: Mask) -> Array:
-    """Combine candidates, (n_i, n_modes), that vanish on fixed dofs, orthonormal: (n_free, k)."""
-    if np.all(fixed):
+def candidate_modes(near_kernel: Array, is_fixed: Mask) -> Array:
+    """Return the rigid modes: combinations of the near kernel that vanish on fixed dofs.
+
+    Args:
+        near_kernel: The near kernel on all dofs of a subdomain, (n_all, any number).
+        is_fixed: Mask of the fixed ones among them, (n_all,).
+
+    Returns:
+        Orthonormal rigid modes on the free dofs, (n_i, k). K may map them to forces.
+    """
+    if np.all(is_fixed):
         return np.zeros((0, 0))
-    U = orthonormal(modes)
-    U = U @ null_combinations(U[fixed], UNSUPPORTED)  # U_D c = 0
-    return np.ascontiguousarray(U[~fixed])
+    U = orthonormal(near_kernel)
+    U = U @ null_combinations(U[is_fixed], MAX_NORM_ON_FIXED_DOFS)  # U_D c = 0
+    return np.ascontiguousarray(U[~is_fixed])

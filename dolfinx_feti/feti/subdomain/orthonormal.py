@@ -1,12 +1,18 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Orthonormal bases of columns, dependent ones dropped.
+r"""Orthonormal bases of columns, without those that depend on others.
 
-.. math:: X = U Σ V^⊤, \qquad X B = U \text{ for } B = V Σ^{-1}, \qquad B^⊤ H B = Θ
+For columns X, (p, k), in the Euclidean scalar product,
 
-for columns X, (n, k), in Euclid's scalar product, and for a Gram matrix H, (k, k), in that of H,
-scaled to a unit diagonal first. For rows that are distributed see ``regularity.motions``.
+.. math:: X = U Σ V^⊤, \qquad X B = U, \quad B = V Σ^{-1};
+
+for a symmetric H, (k, k), that is scaled to a unit diagonal first,
+
+.. math:: B^⊤ H B = Θ.
+
+The columns of B are coefficients of *combinations* X B of the columns X. For rows that are
+distributed over processes see ``regularity.tsqr``.
 """
 
 from __future__ import annotations
@@ -16,62 +22,86 @@ import scipy.linalg
 
 from dolfinx_feti.runtime.arrays import Array
 
-#: A singular value below this share of the largest one is zero: the square root of rounding, so
-#: that columns far from the origin, which agree in half of their digits, still count.
-RANK = 1e-8
+#: Singular value, relative to the largest one, up to which columns depend on each other: the square
+#: root of rounding. Translations and rotations of a subdomain far from the origin agree in up to
+#: half of their digits; they still count as independent.
+RANK_RTOL = 1e-8
 
-#: Sine of the angle to given columns below which a column repeats them. Eigenvectors are
-#: approximate, and what this leaves of one has ten digits.
-REPETITION = 1e-6
+#: Sine of the angle between a column and the span of others up to which it repeats them. The part
+#: of a unit column that is orthogonal to the others has rounding errors of 1e-16; at this angle
+#: that is 1e-10 of the part.
+MIN_SINE = 1e-6
 
 
 def orthonormal(X: Array) -> Array:
-    """Return an orthonormal basis of columns, (n, k) → (n, up to k)."""
+    """Return an orthonormal basis of columns, (p, k) → (p, up to k)."""
     if X.size == 0:
         return X[:, :0]
     U, sigma, _ = scipy.linalg.svd(X, full_matrices=False)
-    return np.ascontiguousarray(U[:, sigma > RANK * sigma[0]])
+    return np.ascontiguousarray(U[:, sigma > RANK_RTOL * sigma[0]])
 
 
 def append_orthonormal(R: Array, Y: Array) -> Array:
-    """Append columns to orthonormal ones, orthonormalised, (n, k), (n, r) → (n, up to k + r)."""
-    size = np.linalg.norm(Y, axis=0)
-    Y = Y / np.where(size > 0.0, size, 1.0)
-    for _ in range(2):
+    """Orthonormalise columns and append them to others.
+
+    Args:
+        R: Orthonormal columns, (p, k).
+        Y: Columns of any norm, (p, r).
+
+    Returns:
+        R, and an orthonormal basis of the part of Y that is orthogonal to R, (p, up to k + r).
+    """
+    norms = np.linalg.norm(Y, axis=0)
+    Y = Y / np.where(norms > 0.0, norms, 1.0)
+    for _ in range(2):  # twice is enough: rounding of the first time is removed by the second
         Y = Y - R @ (R.T @ Y)
     U, sigma, _ = np.linalg.svd(Y, full_matrices=False)
-    return np.hstack([R, U[:, sigma > REPETITION]])
+    return np.hstack([R, U[:, sigma > MIN_SINE]])
 
 
-def orthonormalising(X: Array) -> Array:
-    """Return combinations B with (X B)ᵀ X B = I, (n, k) → (k, up to k)."""
+def orthonormal_combinations(X: Array) -> Array:
+    """Return combinations B with (X B)ᵀ X B = I, (p, k) → (k, up to k)."""
     _, sigma, Vt = np.linalg.svd(X, full_matrices=False)
-    kept = sigma > RANK * sigma.max(initial=0.0)
-    return np.asarray(Vt[kept].T / sigma[kept])
+    is_independent = sigma > RANK_RTOL * sigma.max(initial=0.0)
+    return np.asarray(Vt[is_independent].T / sigma[is_independent])
 
 
 def null_combinations(X: Array, tolerance: float) -> Array:
-    """Return orthonormal combinations C with ‖X C‖ ≤ tolerance, (n, k) → (k, up to k)."""
+    """Return orthonormal combinations C that X maps to almost nothing.
+
+    Args:
+        X: Columns, (p, k).
+        tolerance: Largest ‖X c‖ of a unit combination c; absolute, unlike :data:`RANK_RTOL`.
+
+    Returns:
+        C, (k, up to k).
+    """
+    # All k right singular vectors, also of p < k rows: those without a singular value have zero.
     _, sigma, Vt = np.linalg.svd(np.linalg.qr(X, mode="r"))
-    return np.asarray(Vt[np.count_nonzero(sigma > tolerance) :].T)
+    rank = np.count_nonzero(sigma > tolerance)
+    return np.asarray(Vt[rank:].T)
 
 
-def diagonalising(H: Array, tolerance: float) -> tuple[Array, Array]:
-    """Return θ, ascending, and combinations B with Bᵀ H B = diag(θ), (k, k) → (k, up to k).
+def diagonalise(H: Array, tolerance: float) -> tuple[Array, Array]:
+    """Compute combinations that diagonalise a matrix which is symmetric up to rounding.
 
-    H is symmetric up to rounding. Scaled to a unit diagonal, eigenvalues in ± tolerance are left
-    out.
+    Args:
+        H: The matrix, (k, k), scaled to a unit diagonal first.
+        tolerance: Eigenvalues θ of the scaled matrix with |θ| ≤ tolerance are left out.
+
+    Returns:
+        θ, ascending, (r,), and B with Bᵀ H B = diag(θ), (k, r), r ≤ k.
     """
     scale = unit_scale(H)
     theta, Q = np.linalg.eigh(symmetric_part(scale[:, None] * H * scale))
-    kept = np.abs(theta) > tolerance
-    return theta[kept], scale[:, None] * Q[:, kept]
+    is_nonzero = np.abs(theta) > tolerance
+    return theta[is_nonzero], scale[:, None] * Q[:, is_nonzero]
 
 
 def unit_scale(H: Array) -> Array:
     """Return s that scales a diagonal to ±1, :math:`s_j^2 |h_{jj}| = 1`, or 0 where it is zero."""
-    size = np.sqrt(np.abs(H.diagonal()))
-    return np.divide(1.0, size, where=size > 0.0, out=np.zeros_like(size))
+    root = np.sqrt(np.abs(H.diagonal()))
+    return np.divide(1.0, root, where=root > 0.0, out=np.zeros_like(root))
 
 
 def symmetric_part(H: Array) -> Array:

@@ -2,69 +2,87 @@
 //
 // SPDX-License-Identifier: LGPL-3.0-or-later
 //
-// Products of block-sparse columns W = (W_1, W_2, …), (n, c). Panel p has count[p] columns, nonzero
-// on the rows row[first[p]], …, row[first[p + 1] − 1], each row once; there its values stand row by
-// row, and those of the next panel behind them.
+// Products of block-sparse columns, see panels.h.
 
 #include <stddef.h>
 #include <string.h>
 
-typedef void (*dgemm)(char *, char *, int *, int *, int *, double *, double *, int *, double *,
-                      int *, double *, double *, int *);
+#include "panels.h"
 
-// Yᵀ = (S W)ᵀ, (c, n) row by row, for a symmetric S, (n, n); work has room for n² entries.
-void panels_product(int n, int panels, const int *first, const int *row, const int *count,
-                    const double *values, const double *S, double *Y, double *work, dgemm gemm)
+// Y = S W: copy the columns of S that a panel needs, one after the other, and multiply. As S is
+// symmetric, they are its rows, which are contiguous.
+void panels_product(const panels *W, const double *S, double *Y, double *work,
+                    dgemm_routine gemm)
 {
-    double one = 1.0, zero = 0.0;
-    for (int p = 0; p < panels; Y += (size_t)n * count[p++]) {
-        int m = first[p + 1] - first[p], k = count[p];
-        if (!m || !k) {
+    double one = 1.0;
+    double zero = 0.0;
+    int n = W->n;
+    double *values = (double *)W->values; // BLAS reads them, but takes pointers without const
+    for (int p = 0; p < W->count; ++p) {
+        const int *const row = W->rows + W->starts[p];
+        int m = W->starts[p + 1] - W->starts[p]; // rows of the panel
+        int k = W->widths[p];                    // its columns
+        if (m && k) {
+            for (int i = 0; i < m; ++i) {
+                memcpy(work + (size_t)n * i, S + (size_t)n * row[i], sizeof(double) * n);
+            }
+            gemm("N", "T", &n, &k, &m, &one, work, &n, values, &k, &zero, Y, &n); // S[:, r_p] W_p
+        } else {
             memset(Y, 0, sizeof(double) * (size_t)n * k);
-            continue;
         }
-        for (int e = 0; e < m; ++e)
-            memcpy(work + (size_t)n * e, S + (size_t)n * row[first[p] + e], sizeof(double) * n);
-        double *W = (double *)values;
-        gemm("N", "T", &n, &k, &m, &one, work, &n, W, &k, &zero, Y, &n); // S[:, r_p] (W_p)_r
         values += (size_t)m * k;
+        Y += (size_t)n * k;
     }
 }
 
-// E = Wᵀ Y, (c, r) row by row, for Yᵀ, (r, n) row by row; work has room for n r entries. If E is
-// symmetric, what is above the diagonal blocks is copied from below.
-void panels_overlap(int n, int panels, const int *first, const int *row, const int *count,
-                    const double *values, int r, const double *Y, double *E, double *work,
-                    int symmetric, dgemm gemm)
+// Complete a symmetric E, (c, r) row by row, above the diagonal: entry (j, l) with j < a ≤ l < b is
+// copied from (l, j), which lies in one of the rows a, …, b − 1 of a panel.
+static void mirror_rows(double *E, int r, int a, int b)
 {
-    double one = 1.0, zero = 0.0;
-    for (int p = 0, c = 0; p < panels; E += (size_t)r * count[p++]) {
-        int m = first[p + 1] - first[p], k = count[p], before = c, columns = r;
-        c += k;
-        if (symmetric) columns = c;
-        if (m && k && columns) {
-            const int *rows = row + first[p];
-            for (int j = 0; j < columns; ++j)
-                for (int e = 0; e < m; ++e) work[(size_t)m * j + e] = Y[(size_t)n * j + rows[e]];
-            double *W = (double *)values;
-            gemm("T", "T", &columns, &k, &m, &one, work, &m, W, &k, &zero, E, &r); // (W_p)_rᵀ Y_r
-            values += (size_t)m * k;
-        } else
-            memset(E, 0, sizeof(double) * (size_t)r * k);
-        double *const whole = E - (ptrdiff_t)r * before;
-        for (int j = 0; symmetric && j < before; ++j)
-            for (int l = before; l < c; ++l)
-                whole[(ptrdiff_t)r * j + l] = whole[(ptrdiff_t)r * l + j];
+    for (int j = 0; j < a; ++j) {
+        for (int l = a; l < b; ++l) E[(size_t)r * j + l] = E[(size_t)r * l + j];
     }
 }
 
-// e = Y z for Y, (c, n) row by row in single precision; the sums are in double precision.
+// E = Wᵀ Y: copy the rows of Y that a panel needs, and multiply. If E is symmetric, the rows of a
+// panel are computed up to its diagonal block, and mirrored.
+void panels_overlap(const panels *W, int r, const double *Y, double *E, double *work,
+                    int symmetric, dgemm_routine gemm)
+{
+    double one = 1.0;
+    double zero = 0.0;
+    double *values = (double *)W->values; // BLAS reads them, but takes pointers without const
+    int begin = 0;                        // first row of E of the panel
+    for (int p = 0; p < W->count; ++p) {
+        const int *const row = W->rows + W->starts[p];
+        int m = W->starts[p + 1] - W->starts[p]; // rows of the panel
+        int k = W->widths[p];                    // its columns, which are rows of E
+        const int end = begin + k;
+        int columns = symmetric ? end : r; // columns of E that are computed
+        double *const E_p = E + (size_t)r * begin;
+        if (m && k && columns) {
+            for (int j = 0; j < columns; ++j) {
+                for (int i = 0; i < m; ++i) work[(size_t)m * j + i] = Y[(size_t)W->n * j + row[i]];
+            }
+            // (W_p)ᵀ Y[r_p, :]
+            gemm("T", "T", &columns, &k, &m, &one, work, &m, values, &k, &zero, E_p, &r);
+        } else {
+            memset(E_p, 0, sizeof(double) * (size_t)r * k);
+        }
+        if (symmetric) mirror_rows(E, r, begin, end);
+        values += (size_t)m * k;
+        begin = end;
+    }
+}
+
+// e = Y z with sums in double precision.
 void rows_product(int c, int n, const float *Y, const double *z, double *e)
 {
-    for (; c > 0; --c, Y += n) {
+    for (int i = 0; i < c; ++i) {
+        const float *const row = Y + (size_t)n * i;
         double sum = 0.0;
 #pragma omp simd reduction(+ : sum)
-        for (int i = 0; i < n; ++i) sum += Y[i] * z[i];
-        *e++ = sum;
+        for (int j = 0; j < n; ++j) sum += row[j] * z[j];
+        e[i] = sum;
     }
 }

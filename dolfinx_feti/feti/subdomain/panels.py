@@ -1,19 +1,20 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Block-sparse columns: panels, each with a few nonzero rows.
+r"""Block-sparse columns: panels, each with a few nonzero rows; and products with them.
 
 .. math:: W = (W_1, W_2, …), \qquad S\, W_p = S_{:, r_p} (W_p)_{r_p}, \qquad
-          W_p^⊤ Y = (W_p)_{r_p}^⊤ Y_{r_p}
+          W_p^⊤ Y = (W_p)_{r_p}^⊤ Y_{r_p}, \qquad (S\, W)^⊤ z
 
 with the rows :math:`r_p` of panel p, (n, c) in all: the coarse columns of a neighbour are zero but
-on the dofs that the two share. The products are C (``panels.c``).
+on the dofs that the two subdomains share. Here n is :math:`n_{Γ,i}` of the subdomain.
+:math:`S\, W`, which is dense, may be stored in single precision for the last product. The products
+are C (``panels.c``).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,32 +24,13 @@ import numpy as np
 import numpy.typing as npt
 
 from dolfinx_feti.runtime.arrays import Array, Indices
-from dolfinx_feti.runtime.native import address_of, load, pointer
-
-DECLARATIONS = """
-void panels_product(int, int, const int *, const int *, const int *, const double *,
-                    const double *, double *, double *, void *);
-void panels_overlap(int, int, const int *, const int *, const int *, const double *, int,
-                    const double *, double *, double *, int, void *);
-void rows_product(int, int, const float *, const double *, double *);
-"""
+from dolfinx_feti.runtime.native import address_of, load_with_header, pointer
 
 
 def load_panels(comm: MPI.Comm) -> Any:
     """Load the code, which is compiled at first use. Collective."""
-    source, flags = Path(__file__).with_name("panels.c"), ("-O3", "-fopenmp-simd")
-    return load(source, DECLARATIONS, comm, flags=flags)
-
-
-def rows_product(code: Any, Y: npt.NDArray[np.floating], z: Array) -> Array:
-    """Return Y z, (c,), for Y, (c, n), in any precision, with sums in double precision."""
-    if Y.dtype == np.float64:
-        return np.asarray(Y @ z)
-    if z.shape != (Y.shape[1],):
-        raise ValueError(f"{Y.shape[1]} columns, but a vector of shape {z.shape}")
-    to, e = partial(pointer, code), np.empty(len(Y))
-    code.lib.rows_product(*Y.shape, to(Y), to(np.ascontiguousarray(z)), to(e))
-    return e
+    source = Path(__file__).with_name("panels.c")
+    return load_with_header(source, comm, flags=("-O3", "-fopenmp-simd"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,65 +38,100 @@ class Panels:
     """W, (n, c), panel by panel.
 
     Attributes:
-        code: What :func:`load_panels` returns.
+        code: The module that :func:`load_panels` returns.
         n: Number of rows of W.
-        first: Where each panel begins among ``row``, and the end, (panels + 1,).
-        row: Rows of each panel, each row once, (m,).
-        count: Columns of each panel, (panels,).
-        values: What the panels have on their rows, one after the other, row by row.
+        starts: Index in ``rows`` of the first row of each panel, and the end, (panels + 1,).
+        rows: Rows of each panel, (Σ rows of a panel,); a panel has each row once at most.
+        widths: Number of columns of each panel, (panels,).
+        values: Values of the panels on their rows, one panel after the other, row by row.
     """
 
     code: Any
     n: int
-    first: Indices
-    row: Indices
-    count: Indices
+    starts: Indices
+    rows: Indices
+    widths: Indices
     values: Array
 
     def __post_init__(self) -> None:
-        """Check what C relies on."""
-        rows, end = np.diff(self.first), len(self.row)
-        fits = len(rows) == len(self.count) and self.first[0] == 0 and self.first[-1] == end
-        fits = fits and min(rows.min(initial=0), self.count.min(initial=0)) >= 0
-        fits = fits and len(self.values) == rows @ self.count
-        if not fits or self.row.min(initial=0) < 0 or self.row.max(initial=-1) >= self.n:
-            raise ValueError(f"{len(self.count)} panels do not fit {self.n} rows")
+        """Check what keeps the C code within the arrays."""
+        fault = self._fault()
+        if fault:
+            raise ValueError(f"{len(self.widths)} panels do not fit {self.n} rows: {fault}")
+
+    def _fault(self) -> str:
+        """Return a description of the first misfit of the arrays; an empty text if they fit."""
+        rows = np.diff(self.starts)
+        if len(rows) != len(self.widths):
+            return f"starts has {len(self.starts)} entries, not one more than there are panels"
+        if self.starts[0] != 0 or self.starts[-1] != len(self.rows):
+            return f"starts goes from {self.starts[0]} to {self.starts[-1]} of {len(self.rows)}"
+        if rows.min(initial=0) < 0:
+            return "starts decreases"
+        if self.widths.min(initial=0) < 0:
+            return "a width is negative"
+        if len(self.values) != rows @ self.widths:
+            return f"{len(self.values)} values for {rows @ self.widths} entries"
+        if self.rows.min(initial=0) < 0 or self.rows.max(initial=-1) >= self.n:
+            return f"rows go from {self.rows.min()} to {self.rows.max()}"
+        return ""
 
     @property
     def shape(self) -> tuple[int, int]:
         """Return n and c."""
-        return self.n, int(self.count.sum())
+        return self.n, int(self.widths.sum())
 
     def dense(self) -> Array:
         """Return W, (n, c)."""
-        W = np.zeros(self.shape[::-1])
-        rows = np.diff(self.first)
-        count = np.repeat(self.count, rows)  # by the entries of row
-        column = np.repeat(np.cumsum(self.count) - self.count, rows)
-        start = np.cumsum(count) - count
-        for j in range(int(self.count.max(initial=0))):
-            some = count > j
-            W[column[some] + j, self.row[some]] = self.values[start[some] + j]
-        return W.T
+        dense_transposed = np.zeros(self.shape[::-1])
+        sizes = np.diff(self.starts)  # rows of each panel
+        # For each entry of ``rows``: columns of its panel, the first of them, place of its values.
+        width = np.repeat(self.widths, sizes)
+        first_column = np.repeat(np.cumsum(self.widths) - self.widths, sizes)
+        first_value = np.cumsum(width) - width
+        for j in range(int(self.widths.max(initial=0))):
+            has_column = width > j
+            values = self.values[first_value[has_column] + j]
+            dense_transposed[first_column[has_column] + j, self.rows[has_column]] = values
+        return dense_transposed.T
 
     def product(self, S: Array) -> Array:
-        """Return S W, (n, c), for a symmetric S, (n, n)."""
+        """Return S W, (n, c), for a symmetric S, (n, n), stored by rows or by columns."""
         if S.shape != (self.n, self.n):
             raise ValueError(f"a matrix of shape {S.shape} does not fit {self.n} rows")
-        Y, work = np.empty(self.shape[::-1]), np.empty((self.n, self.n))
-        to, code = self._to, self.code
+        product_transposed = np.empty(self.shape[::-1])  # (S W)ᵀ
+        work = np.empty((self.n, self.n))  # the columns of S that a panel needs
         S = S if S.flags.c_contiguous else S.T
-        code.lib.panels_product(*self._pointers(), to(S), to(Y), to(work), self._gemm)
-        return Y.T
+        self.code.lib.panels_product(
+            self._struct(),
+            self._pointer(S),
+            self._pointer(product_transposed),
+            self._pointer(work),
+            self._gemm,
+        )
+        return product_transposed.T
 
     def overlap(self, Y: Array, *, symmetric: bool = False) -> Array:
-        """Return Wᵀ Y, (n, r) → (c, r); with r = c it may be known to be ``symmetric``."""
+        """Return Wᵀ Y for columns Y, (n, r) → (c, r).
+
+        Args:
+            Y: The columns.
+            symmetric: Whether the result is known to be symmetric: only half of it is computed.
+        """
         if len(Y) != self.n or (symmetric and Y.shape[1] != self.shape[1]):
             raise ValueError(f"columns of shape {Y.shape} do not fit panels of shape {self.shape}")
-        E, columns = np.empty((self.shape[1], Y.shape[1])), np.ascontiguousarray(Y.T)
-        work, to, code = np.empty(columns.shape), self._to, self.code
-        arrays = to(columns), to(E), to(work)
-        code.lib.panels_overlap(*self._pointers(), len(columns), *arrays, symmetric, self._gemm)
+        E = np.empty((self.shape[1], Y.shape[1]))  # Wᵀ Y
+        columns = np.ascontiguousarray(Y.T)
+        work = np.empty(columns.shape)  # the rows of Y that a panel needs
+        self.code.lib.panels_overlap(
+            self._struct(),
+            len(columns),
+            self._pointer(columns),
+            self._pointer(E),
+            self._pointer(work),
+            symmetric,
+            self._gemm,
+        )
         return E
 
     def squares(self) -> Array:
@@ -123,12 +140,45 @@ class Panels:
 
     @property
     def _gemm(self) -> Any:
-        return self.code.ffi.cast("void *", address_of("dgemm"))
+        """The routine DGEMM of BLAS."""
+        return self.code.ffi.cast("dgemm_routine", address_of("dgemm"))
 
-    def _pointers(self) -> tuple[Any, ...]:
-        sizes = self.n, len(self.count)
-        arrays = map(self._to, (self.first, self.row, self.count))
-        return *sizes, *arrays, self._to(self.values)
+    def _struct(self) -> Any:
+        """Return W as a ``panels *``, which refers to the arrays of this object."""
+        return self.code.ffi.new(
+            "panels *",
+            {
+                "n": self.n,
+                "count": len(self.widths),
+                "starts": self._pointer(self.starts),
+                "rows": self._pointer(self.rows),
+                "widths": self._pointer(self.widths),
+                "values": self._pointer(self.values),
+            },
+        )
 
-    def _to(self, array: npt.NDArray[Any]) -> Any:
+    def _pointer(self, array: npt.NDArray[Any]) -> Any:
+        """Return a pointer to the entries of an array, row by row."""
         return pointer(self.code, array)
+
+
+def rows_product(code: Any, Y: npt.NDArray[np.floating], z: Array) -> Array:
+    """Return Y z with sums in double precision, for the rows Y = (S W)ᵀ.
+
+    Args:
+        code: The module that :func:`load_panels` returns.
+        Y: The rows in single or double precision, (c, n).
+        z: A vector, (n,).
+
+    Returns:
+        The product, (c,).
+    """
+    if Y.dtype == np.float64:
+        return np.asarray(Y @ z)
+    c, n = Y.shape
+    if z.shape != (n,):
+        raise ValueError(f"a matrix of {n} columns does not fit a vector of shape {z.shape}")
+    e = np.empty(c)
+    z = np.ascontiguousarray(z)
+    code.lib.rows_product(c, n, pointer(code, Y), pointer(code, z), pointer(code, e))
+    return e

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The primal form: its preconditioner, spectrum and ends, and GMRES for an unsymmetric K."""
+"""The primal formulation: its preconditioner and spectrum, and GMRES for an unsymmetric K."""
 
 from petsc4py import PETSc
 
@@ -20,11 +20,13 @@ from hand_torn import (
     unsymmetric,
 )
 
-from dolfinx_feti.feti.primal import krylov as module
-from dolfinx_feti.feti.primal.form import create_preconditioner_of_part, create_primal_form
-from dolfinx_feti.feti.primal.krylov import conjugate_gradients, gmres
+from dolfinx_feti.feti.primal.formulation import create_primal_formulation
+from dolfinx_feti.feti.primal.krylov import gmres as gmres_module
+from dolfinx_feti.feti.primal.krylov.gmres import gmres
+from dolfinx_feti.feti.primal.preconditioner import create_symmetric_part_preconditioner
+from dolfinx_feti.feti.primal.stopping import StoppingTest
 from dolfinx_feti.feti.setup import set_up_operator
-from dolfinx_feti.feti.solution import RitzVectors
+from dolfinx_feti.feti.solve_info import RitzVectors
 from dolfinx_feti.runtime.petsc_options import inserted
 
 SEED = 1993
@@ -35,14 +37,15 @@ every_change = each("change", CHANGES)
 
 
 def assembled(of_copies, exact):
-    """Take a map of copies, (n, n), to one of assembled vectors: average, map, copies."""
+    """Return a map of copies, (n, n), as one of assembled vectors: average, map, copy."""
     return exact.average @ of_copies @ exact.T
 
 
 def solution(problem, primal, values):
     """Assert that the solution is that of a direct solver, with values prescribed; say how."""
-    b, torn = problem.vector(values), primal.pattern.torn
-    u_D = np.where(torn.dirichlet, torn.tear(b.array_r), 0.0)
+    b = problem.vector(values)
+    torn = primal.pattern.torn
+    u_D = np.where(torn.dirichlet_copies, torn.tear(b.array_r), 0.0)
     how = {"target": 1e-10 * b.norm(), "max_it": 200, "monitor": lambda *_: None}
     u, outcome = primal.solve(b, u_D, **how)
     b.destroy()
@@ -58,7 +61,8 @@ def test_operator_and_preconditioner(change, kind, interior, torn_grid, form):
     problem = torn_grid(change=change, **GRID)
     primal = form(problem, type=kind, interior=interior, coarse_modes=2)
     exact = primal_form.reference(problem, primal)
-    system, n = primal.system, primal.system.copies.n
+    system = primal.system
+    n = primal.system.copies.size
     zero = np.zeros(n)
     A = -matrix_of_map(lambda x: system.residual(zero, x), n)
     M = matrix_of_map(lambda r: system.precondition(r)[0], n)
@@ -82,10 +86,10 @@ def test_spectrum(kind, interior, modes, torn_grid, form, parts):
     agree(primal_values.min() >= 1.0 - 1e-9)
     if modes:
         return  # soft modes have D ≠ 0
-    system = parts(problem.A, type=kind, interior=interior, coarse_modes=modes)
-    F = matrix_of_map(system.dual.flexibility, system.dual.m)
-    M = matrix_of_map(lambda x: system.preconditioner.apply(x)[0], system.dual.m)
-    G = dense(system.coarse.G)
+    formulation = parts(problem.A, type=kind, interior=interior, coarse_modes=modes)
+    F = matrix_of_map(formulation.system.flexibility, formulation.system.m)
+    M = matrix_of_map(lambda x: formulation.preconditioner.apply(x)[0], formulation.system.m)
+    G = dense(formulation.coarse.G)
     P = np.eye(len(F)) - M @ G @ np.linalg.pinv(G.T @ M @ G, rcond=1e-10, hermitian=True) @ G.T
     dual_values = np.linalg.eigvals(P @ M @ P.T @ F).real
     above = 1.0 + 1e-6
@@ -96,13 +100,13 @@ def test_spectrum(kind, interior, modes, torn_grid, form, parts):
     ("share", "proved"), [(0.002, 0), (0.02, 3)], ids=["met by CG", "told by the coarse space"]
 )
 def test_negative_curvature(share, proved, torn_grid, form):
-    """An indefinite matrix is told, although K_ρ is definite."""
+    """An indefinite matrix is reported, although K_ρ is definite."""
     problem = torn_grid((2, 2), (4, 4), components=2, change=softened(share))
     primal = form(problem, type="all_floating", interior="eliminate", coarse_modes=0)
     exact = primal_form.reference(problem, primal)
     agree(np.linalg.eigvalsh(exact.A)[0] < 0.0 < np.linalg.eigvalsh(exact.S_ρ)[0])
-    agree(primal.coarse.negative() == proved)
-    _, outcome = primal_form.cg(primal.system, random_part(primal.system.copies.n))
+    agree(primal.coarse.negative_eigenvalues == proved)
+    _, outcome = primal_form.cg(primal.system, random_part(primal.system.copies.size))
     agree(outcome.reason == Reason.DIVERGED_INDEFINITE_MAT)
 
 
@@ -112,21 +116,8 @@ def test_ritz_values(torn_grid, form):
     primal = form(problem, type="all_floating", interior="keep", coarse_modes=0)
     exact = primal_form.reference(problem, primal)
     values = np.linalg.eigvals(exact.preconditioner @ exact.A).real
-    _, found = primal_form.cg(primal.system, random_part(primal.system.copies.n), rtol=1e-13)
-    equal(found.eigenvalues, [values[values > 1e-6].min(), values.max()], 1e-6)
-
-
-@pytest.mark.parametrize("method", [conjugate_gradients, gmres])
-def test_ends(method, torn_grid, form):
-    """No iterations left, no load, a NaN."""
-    system = form(torn_grid(**GRID)).system
-    n, how = system.copies.n, {"target": 1e-10, "monitor": lambda *_: None}
-    _, outcome, _ = method(system, random_part(n), max_it=2, **how)
-    agree(outcome.reason == Reason.DIVERGED_MAX_IT and outcome.iterations == 2)
-    x, outcome, _ = method(system, np.zeros(n), max_it=200, **how)
-    agree(outcome.reason > 0 and outcome.iterations == 0 and not x.any())
-    _, outcome, _ = method(system, np.full(n, np.nan), max_it=200, **how)
-    agree(outcome.reason == Reason.DIVERGED_NANORINF)
+    _, found = primal_form.cg(primal.system, random_part(primal.system.copies.size), rtol=1e-13)
+    equal(found.ritz_values, [values[values > 1e-6].min(), values.max()], 1e-6)
 
 
 def test_no_subdomain_left_for_a_process(torn_grid, form):
@@ -141,9 +132,9 @@ def test_copies_agree_to_the_last_bit(torn_grid, form):
     problem = torn_grid((2, 2, 2), (2, 2, 2))
     primal = form(problem)
     copies = primal.system.copies
-    t = np.random.default_rng(SEED + COMM.rank).standard_normal(copies.n)
+    t = np.random.default_rng(SEED + COMM.rank).standard_normal(copies.size)
     total = whole(copies.sum(t))
-    dof = problem.to_global[whole(copies.dofs + primal.pattern.torn.start)]
+    dof = problem.to_global[whole(copies.dofs + primal.pattern.torn.first_torn_dof)]
     for of_dof in np.unique(dof):
         agree(len(np.unique(total[dof == of_dof])) == 1)
 
@@ -156,28 +147,39 @@ WIDE = case((3, 2), (3, 3), 2)
 @pytest.fixture
 def general_form(pattern, lifetime, double_products, monkeypatch):
     """Make the primal form of a torn matrix that is not symmetric, in double precision."""
-    monkeypatch.setattr("dolfinx_feti.feti.subdomain.pseudoinverse.ROUGH", 0.0)
+    monkeypatch.setattr("dolfinx_feti.feti.subdomain.scaled.MAX_SINGLE_PRECISION_ERROR", 0.0)
 
     def create(problem, vectors=None, **options):
         read = pattern(problem.A, formulation="primal", interior="auto", **options)
-        parts = set_up_operator(read, lifetime), create_preconditioner_of_part(read, lifetime)
-        return create_primal_form(read, *parts, lifetime, vectors, most=20)
+        S = set_up_operator(read, lifetime)
+        preconditioner = create_symmetric_part_preconditioner(read, lifetime)
+        return create_primal_formulation(
+            read, S, preconditioner, lifetime, vectors, max_ritz_vectors=20
+        )
 
     return create
 
 
-def least_residuals(form, f, *, rtol=1e-10, **how):
-    system, norms = form.system, []
-    target = rtol * system.norm(system.copies.sum(f))
-    given = {"max_it": 200, "traced": 200, **how}
-    found = gmres(system, f, target=target, monitor=lambda its, norm: norms.append(norm), **given)
-    return *found, norms
+def least_residuals(form, f, *, max_it=200):
+    """Solve by GMRES; return its results and the norms of the residuals."""
+    system = form.system
+    norms = []
+    stopping = StoppingTest(1e-10 * system.norm(system.copies.sum(f)), max_it)
+    results = gmres(
+        system,
+        f,
+        stopping,
+        monitor=lambda its, norm: norms.append(norm),
+        stored_iterations=200,
+        allow_indefinite=False,
+    )
+    return *results, norms
 
 
 def of_assembled(apply, form, T):
     """The dense matrix of a map of assembled vectors, given by their copies: average, map."""
     average = T.T * whole(form.system.copies.delta)
-    return average @ matrix_of_map(apply, form.system.copies.n) @ T
+    return average @ matrix_of_map(apply, form.system.copies.size) @ T
 
 
 @every_type
@@ -185,19 +187,23 @@ def test_operator_and_preconditioner_of_an_unsymmetric_matrix(kind, torn_grid, g
     """A = Tᵀ S T of K; Π Tᵀ δ K_ρ⁻¹ δ T + V A₀⁻¹ Vᵀ, with K_ρ of ½ (K + Kᵀ) and Π of K."""
     problem = torn_grid(change=unsymmetric(0.1), **WIDE)
     primal = general_form(problem, type=kind, coarse_modes=2)
-    system, V, torn = primal.system, primal.coarse.V, primal.pattern.torn
-    rows = whole(system.copies.dofs + torn.start)
-    inside = np.setdiff1d(np.flatnonzero(~whole(primal.pattern.dofs.fixed)), rows)
+    system = primal.system
+    V = primal.coarse.V
+    torn = primal.pattern.torn
+    rows = whole(system.copies.dofs + torn.first_torn_dof)
+    inside = np.setdiff1d(np.flatnonzero(~whole(primal.pattern.fixed)), rows)
     T = problem.T[rows][:, ~problem.dirichlet]
     T = T[:, T.any(axis=0)]
-    K, zero = problem.K_torn, np.zeros(system.copies.n)
+    K = problem.K_torn
+    zero = np.zeros(system.copies.size)
     X = np.linalg.solve(K[np.ix_(inside, inside)], K[np.ix_(inside, rows)])
     A = T.T @ (K[np.ix_(rows, rows)] - K[np.ix_(rows, inside)] @ X) @ T
     equal(of_assembled(lambda x: -system.residual(zero, x), primal, T), A, 1e-11)
     average = T.T * whole(system.copies.delta)
-    V = average @ matrix_of_map(V.prolong, V.size)
+    V = average @ matrix_of_map(V.prolong, V.n_c)
     coarse = V @ np.linalg.pinv(V.T @ A @ V, rcond=1e-10) @ V.T
-    K_ρ = np.linalg.inv(matrix_of_map(primal.preconditioner.solve, system.copies.n))
+    solve = primal.preconditioner.inverse.solve_regularised_on_interface
+    K_ρ = np.linalg.inv(matrix_of_map(solve, system.copies.size))
     equal(K_ρ, K_ρ.T, 1e-8)
     M = average @ np.linalg.solve(K_ρ, average.T)
     expected = M - coarse @ A @ M + coarse
@@ -211,10 +217,11 @@ def test_transposed_products(solver, torn_grid, pattern, lifetime):
     with inserted("test_feti_dirichlet_", {"pc_factor_mat_solver_type": solver}):
         read = pattern(problem.A, formulation="primal", interior="auto")
         S = set_up_operator(read, lifetime)
-    for i, Γ in enumerate(S.interface):
-        X, Y = np.random.default_rng(SEED).standard_normal((2, len(Γ), 3))
-        agree(np.allclose(Y.T @ S.multiply_many(i, X), S.multiply_many(i, Y, transpose=True).T @ X))
-        agree(S.multiply_many(i, X[:, :0], transpose=True).shape == (len(Γ), 0))
+    for S_i in S.blocks:
+        n = len(S_i.subdomain.interface)
+        X, Y = np.random.default_rng(SEED).standard_normal((2, n, 3))
+        agree(np.allclose(Y.T @ S_i.multiply(X), S_i.multiply(Y, transpose=True).T @ X))
+        agree(S_i.multiply(X[:, :0], transpose=True).shape == (n, 0))
 
 
 @pytest.mark.parametrize("count", [0, 4])
@@ -222,16 +229,20 @@ def test_least_residuals(count, torn_grid, general_form):
     """A Z = R H with Rᵀ R = I; V and W get no residual; and its norm is that of the iterate."""
     problem = torn_grid(change=unsymmetric(0.1, skew=True), **WIDE)
     plain = general_form(problem)
-    copies, f = plain.system.copies, random_part(plain.system.copies.n)
-    W = [copies.average(random_part(copies.n, seed=7 + j)) for j in range(count)]
+    copies = plain.system.copies
+    f = random_part(plain.system.copies.size)
+    W = [copies.average(random_part(copies.size, seed=7 + j)) for j in range(count)]
     W = np.column_stack(W or [f])[:, :count]
     primal = general_form(problem, RitzVectors(W, W))
-    system, δ = primal.system, copies.delta[:, None]
+    system = primal.system
+    δ = copies.delta[:, None]
     agree(primal.deflation.count == count)
-    _, outcome, trace, norms = least_residuals(primal, f)
+    _, outcome, basis, norms = least_residuals(primal, f)
     agree(outcome.reason == Reason.CONVERGED_RTOL and len(norms) == outcome.iterations + 1)
     agree(np.all(np.diff(norms) <= 0.0))
-    R, Z, H = trace.R.T, trace.Z.T, trace.H
+    R = basis.R.T
+    Z = basis.Z.T
+    H = basis.H
     equal(COMM.allreduce(R.T @ (δ * R)), np.eye(R.shape[1]), 1e-12)
     AZ = np.column_stack([-system.residual(0.0 * z, z) for z in Z.T])
     equal(whole(AZ), whole(R @ H), 1e-10)
@@ -277,17 +288,17 @@ def test_unsymmetric_pattern(scaling, components, torn_grid, feti):
 
 def test_fresh_starts(torn_grid, feti, monkeypatch):
     """A few vectors are enough where fresh starts follow; where none does, the message says so."""
-    monkeypatch.setattr(module, "RESTART", 8)
+    monkeypatch.setattr(gmres_module, "GMRES_DIRECTIONS", 8)
     problem = torn_grid(change=unsymmetric(0.1, skew=True), **WIDE)
     ksp = feti(problem.A, ksp_rtol=1e-10)
     agree(solved(ksp, problem, 1e-7).iterations > 8)
-    monkeypatch.setattr("dolfinx_feti.feti.solver.RESTARTS", 0)
+    monkeypatch.setattr("dolfinx_feti.feti.outer_loop.MAX_FRESH_STARTS", 0)
     agree(solve(ksp, problem, random_values(problem))[0] == Reason.DIVERGED_BREAKDOWN)
     agree("stagnates" in ksp.getPythonContext().message)
 
 
 def test_singular_symmetric_part(torn_grid, feti):
-    """A dof inside that only a skew part holds: the message asks for other subdomains."""
+    """An interior dof is held only by a skew part: the message suggests other subdomains."""
 
     def change(K, dofs):
         j = 2 * 5  # an inner node of the first subdomain

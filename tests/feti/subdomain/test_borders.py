@@ -11,16 +11,18 @@ import pytest
 from collective import COMM, agree, equal, raises
 
 from dolfinx_feti.errors import FactorError
-from dolfinx_feti.feti.coarse.fields import Fields
-from dolfinx_feti.feti.coarse.near import NearColumns
-from dolfinx_feti.feti.primal.assembled import add_block, load_block_code
-from dolfinx_feti.feti.subdomain.factors.dense import TILE, PackedMatrix, pack
+from dolfinx_feti.feti.coarse.assembly import BlockPattern, CoarseAssembler, add_element
+from dolfinx_feti.feti.coarse.basis import LocalCoarseBasis
+from dolfinx_feti.feti.coarse.dofmap import CoarseDofMap
+from dolfinx_feti.feti.primal.assembled import SharedBlock, add_block, load_block_code
 from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts
+from dolfinx_feti.feti.subdomain.factors.packed import TILE, PackedMatrix
+from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace, pack
 from dolfinx_feti.feti.subdomain.panels import Panels, load_panels, rows_product
 from dolfinx_feti.runtime.petsc_library import Rows
 
 #: Two panels, of two columns on rows 0 and 2, and of one on row 1.
-PANELS = {"first": [0, 2, 3], "row": [0, 2, 1], "count": [2, 1], "values": [1.0, 2, 3, 4, 5]}
+PANELS = {"starts": [0, 2, 3], "rows": [0, 2, 1], "widths": [2, 1], "values": [1.0, 2, 3, 4, 5]}
 
 
 def panels(n=3, real=np.float64, integer=np.int32, **wrong):
@@ -30,7 +32,8 @@ def panels(n=3, real=np.float64, integer=np.int32, **wrong):
 
 
 def test_factors_of_panels_fit():
-    W, wide = panels(), np.eye(6)[:3, ::2]
+    W = panels()
+    wide = np.eye(6)[:3, ::2]
     for call, error in (
         (lambda: W.product(np.eye(2)), "a matrix of shape"),
         (lambda: W.product(np.eye(3)[:, :2]), "a matrix of shape"),
@@ -59,13 +62,15 @@ GRAPH = {"size": [1, 1, 1], "ptr": [0, 1, 3, 4], "adjacent": [1, 0, 2, 1], "rows
 
 def fronts(glued=(False, False, True), integer=np.int32, **wrong):
     parts = {name: np.array(wrong.get(name, part), integer) for name, part in GRAPH.items()}
-    graph, number = (parts["ptr"], parts["adjacent"]), np.arange(3, dtype=np.int32)
+    graph = (parts["ptr"], parts["adjacent"])
+    number = np.arange(3, dtype=np.int32)
     code = load_fronts(COMM)
     return Fronts(code, parts["rows"], number, parts["size"], graph, np.array(glued))
 
 
 def path(integer=np.int32, real=np.float64):
-    indptr, indices = [0, 2, 5, 7], [0, 1, 0, 1, 2, 1, 2]
+    indptr = [0, 2, 5, 7]
+    indices = [0, 1, 0, 1, 2, 1, 2]
     values = [2.0, -1, -1, 2, -1, -1, 2]
     return Rows(np.array(indptr, integer), np.array(indices, integer), np.array(values, real))
 
@@ -73,14 +78,16 @@ def path(integer=np.int32, real=np.float64):
 def analyse(**wrong):
     """Call the analysis of fronts itself."""
     given = {"ptr": [0, 1, 2], "adjacent": [1, 0], "size": [1, 1], "order": [0, 1], **wrong}
-    ptr, adjacent, size, order = (np.array(given[name], dtype=np.int32) for name in given)
+    arrays = {name: np.array(values, dtype=np.int32) for name, values in given.items()}
+    sizes = {"nodes": len(arrays["size"]), "interior_nodes": len(arrays["order"])}
     code = load_fronts(COMM)
-    made = code.module.ffi.new("fronts **")
-    graph = map(code.to, (size, ptr, adjacent))
-    status = code.lib.fronts_analyse(len(size), *graph, len(order), code.to(order), made)
+    created = code.ffi.new("assembly_tree **")
+    status = code.lib.multifrontal_analyse(
+        code.struct("subdomain_graph", **arrays, **sizes), created
+    )
     if status == 0:
-        code.lib.fronts_free(made[0])
-    code.check(status)
+        code.lib.multifrontal_free(created[0])
+    code.require_done(status)
 
 
 INVALID = "graph of the subdomain, or the order of its nodes, is invalid"
@@ -88,9 +95,14 @@ TOO_LARGE = [[2**30, 2**30], [2**30, 2**30 - 1], [19 * 10**8, 1]]
 #: What is built, the error, and wrong values of its arrays.
 REFUSED = [
     (panels, ValueError, "panels do not fit", {"n": [2]}),
-    (panels, ValueError, "panels do not fit", {"first": [[0, 2], [1, 2, 3], [0, 3, 2], [0, 2, 4]]}),
-    (panels, ValueError, "panels do not fit", {"row": [[0, -1, 1], [0, 3, 1]]}),
-    (panels, ValueError, "panels do not fit", {"count": [[2], [2, -1], [2, 2]]}),
+    (
+        panels,
+        ValueError,
+        "panels do not fit",
+        {"starts": [[0, 2], [1, 2, 3], [0, 3, 2], [0, 2, 4]]},
+    ),
+    (panels, ValueError, "panels do not fit", {"rows": [[0, -1, 1], [0, 3, 1]]}),
+    (panels, ValueError, "panels do not fit", {"widths": [[2], [2, -1], [2, 2]]}),
     (panels, ValueError, "panels do not fit", {"values": [[1.0, 2, 3, 4]]}),
     (fronts, FactorError, INVALID, {"size": [[1, 1], [1, 1, 0], [1, 1, 2]]}),
     (fronts, FactorError, INVALID, {"ptr": [[0, 1, 3], [0, 1, 3, 5], [0, 3, 1, 4], [1, 1, 3, 4]]}),
@@ -113,9 +125,11 @@ def test_arrays_that_do_not_fit(build, kind, message, wrong):
 
 
 def test_fronts_take_matrices_of_their_pattern():
-    F, K = fronts(), path()
-    work = np.empty(F.work)
-    (factor, _), wide = F.factor(K, work), np.ones((3, 2))
+    F = fronts()
+    K = path()
+    work = WorkSpace()
+    (factor, _) = F.factor(K, work)
+    wide = np.ones((3, 2))
     for wrong in (
         K._replace(indptr=K.indptr[:-1]),
         K._replace(indices=K.indices[:-1]),
@@ -123,61 +137,58 @@ def test_fronts_take_matrices_of_their_pattern():
     ):
         with raises(FactorError, "pattern of the matrix has changed"):
             F.factor(wrong, work)
-    for wrong, space in (
-        (path(np.int64), work),
-        (path(real=np.float32), work),
-        (K, work.astype("f4")),
-    ):
+    for wrong in (path(np.int64), path(real=np.float32)):
         with raises(TypeError, "ctype"):
-            F.factor(wrong, space)
-    with raises(ValueError, f"work has {len(work) - 1} entries, but {len(work)}"):
-        F.factor(K, work[:-1])
-    with raises(ValueError, r"held has shape \(3, 3\)"):
+            F.factor(wrong, work)
+    with raises(ValueError, r"addend_on_last is \(3, 3\)"):
         F.factor(K, work, np.eye(3))
-    with raises(ValueError, "not contiguous"):
-        F.factor(K, np.empty(2 * len(work))[::2])
     for rhs, error in ((np.ones(1), IndexError), (np.ones(3), ValueError), (wide, ValueError)):
         with raises(error, "bounds|shape"):
             factor.solve(rhs)
 
 
 def test_shares_have_rows_of_the_matrix():
-    code, A = load_block_code(COMM), np.zeros((3, 3), np.float32, order="F")
-    add_block(code, A, (np.array([0, 2], np.int32), np.arange(3.0)))
+    code = load_block_code(COMM)
+    A = np.zeros((3, 3), np.float32, order="F")
+    add_block(code, A, SharedBlock(np.array([0, 2], np.int32), np.arange(3.0)))
     for rows, entries, error in (
-        ([0, 3], np.ones(3), "rows 0 … 3 are not those of a matrix of order 3"),
-        ([-1, 2], np.ones(3), "rows -1 … 2 are not those"),
+        ([0, 3], np.ones(3), "Rows 0 … 3 are not those of a matrix of order 3"),
+        ([-1, 2], np.ones(3), "Rows -1 … 2 are not those"),
         ([0, 2], np.ones(4), "4 entries does not fit 2 rows"),
         ([0, 2], np.ones(6)[::2], "not contiguous"),
     ):
         with raises(ValueError, error):
-            add_block(code, A, (np.array(rows, np.int32), entries))
+            add_block(code, A, SharedBlock(np.array(rows, np.int32), entries))
     with raises(ValueError, "not contiguous in F order"):
-        add_block(code, np.zeros((3, 3), np.float32), (np.array([0], np.int32), np.ones(1)))
+        block = SharedBlock(np.array([0], np.int32), np.ones(1))
+        add_block(code, np.zeros((3, 3), np.float32), block)
     for matrix, integer in ((np.zeros((3, 3), order="F"), np.int32), (A, np.int64)):
         with raises(TypeError, "ctype"):
-            add_block(code, matrix, (np.array([0], integer), np.ones(1)))
+            add_block(code, matrix, SharedBlock(np.array([0], integer), np.ones(1)))
 
 
-def test_elements_couple_columns_that_are_near():
-    """Each owner is looked for among those near it, which end."""
+def test_elements_couple_subdomains_that_are_near():
+    """An element matrix is refused if its blocks are not adjacent, or its shape is wrong."""
     base = 2 * COMM.rank
-    count, one = np.ones(2, np.int32), panels(1, first=[0, 1], row=[0], count=[1], values=[1.0])
-    near = NearColumns(Fields([one, one], [np.array([base + i]) for i in (0, 1)]), [1, 1], COMM)
-    to, lib = near._code.ffi.from_buffer, near._code.lib
-    ptr, adjacent = np.arange(3, dtype=np.int32), np.arange(2, dtype=np.int32)
-    place, start = np.zeros(2, np.int32), np.arange(3)
-    values, both = np.zeros(2), np.arange(2, dtype=np.int32)
-    arrays = [to("int[]", a) for a in (count, ptr, adjacent, place)]
-    said = lib.add_element(
-        2, to("int[]", both), to("double[]", np.ones(4)), *arrays, to("int64_t[]", start),
-        to("double[]", values),
-    )  # fmt: skip
-    agree(said == 1)
+    one = panels(1, starts=[0, 1], rows=[0], widths=[1], values=[1.0])
+    basis = LocalCoarseBasis([one, one], [np.array([base + i]) for i in (0, 1)])
+    dofmap = CoarseDofMap(basis, [1, 1], COMM)
+    assembler = CoarseAssembler(dofmap)
+    apart = BlockPattern(
+        first_dof=np.arange(2),
+        width=np.ones(2, np.int32),
+        ptr=np.arange(3, dtype=np.int32),
+        adjacent=np.arange(2, dtype=np.int32),
+        column=np.zeros(2, np.int32),
+        start=np.arange(3),
+    )
+    both = np.arange(2, dtype=np.int32)
+    with raises(ValueError, "two blocks that are not adjacent"):
+        add_element(assembler._code, apart, both, np.ones((2, 2)), np.zeros(2))
     for wrong in (np.ones((2, 2)), np.ones((0, 0))):
-        with raises(Exception, "element matrix 0 is"):
-            near.sum([wrong, np.ones((1, 1))])
-    near.destroy()
+        with raises(ValueError, "element matrix 0 is"):
+            assembler.add(0, wrong)
+    dofmap.destroy()
 
 
 # ---- products with panels -------------------------------------------------------------------
@@ -194,8 +205,8 @@ def some_panels(n):
         columns = np.zeros((n, k))
         columns[of] = part
         W = np.hstack([W, columns])
-    parts = {"first": np.cumsum([0, *map(len, rows)]), "row": np.concatenate(rows)}
-    return panels(n, **parts, count=widths, values=np.concatenate([*map(np.ravel, values)])), W
+    parts = {"starts": np.cumsum([0, *map(len, rows)]), "rows": np.concatenate(rows)}
+    return panels(n, **parts, widths=widths, values=np.concatenate([*map(np.ravel, values)])), W
 
 
 @pytest.mark.parametrize("n", [5, TILE, 2 * TILE + 7])
@@ -204,7 +215,8 @@ def test_products_are_those_of_the_dense_columns(n, monkeypatch):
     monkeypatch.setattr(np, "empty", lambda shape, dtype=float: np.full(shape, np.nan, dtype))
     some, W = some_panels(n)
     rng = np.random.default_rng(1815)
-    S, Y = rng.standard_normal((n, n)), rng.standard_normal((n, 3))
+    S = rng.standard_normal((n, n))
+    Y = rng.standard_normal((n, 3))
     S = S + S.T
     agree(some.shape == W.shape)
     equal(some.dense(), W)
@@ -217,14 +229,14 @@ def test_products_are_those_of_the_dense_columns(n, monkeypatch):
         found = rows_product(some.code, rows, Y[:, 0])
         equal(found, rows.astype(np.float64) @ Y[:, 0], 1e-13 * n)
     equal(some.squares(), (W**2).sum(axis=0), 1e-13 * n)
-    matrix = PackedMatrix(pack(S), n, np.empty(n * n))
+    matrix = PackedMatrix(pack(S), n, WorkSpace())
     equal(matrix.multiply_panels(some), S @ W, 1e-13 * n)
 
 
 @pytest.mark.parametrize("n", [0, 3])
 def test_no_panels(n):
-    none = panels(n, first=[0], row=[], count=[], values=[])
+    none = panels(n, starts=[0], rows=[], widths=[], values=[])
     agree(none.shape == (n, 0) == none.dense().shape == none.product(np.eye(n)).shape)
     agree(none.overlap(np.ones((n, 2))).shape == (0, 2) and len(none.squares()) == 0)
-    matrix = PackedMatrix(pack(np.eye(n)), n, np.empty(n * n))
+    matrix = PackedMatrix(pack(np.eye(n)), n, WorkSpace())
     agree(matrix.multiply_panels(none).shape == (n, 0))

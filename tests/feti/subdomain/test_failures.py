@@ -7,21 +7,24 @@ import numpy as np
 import pytest
 import scipy.sparse
 import scipy.sparse.linalg
-from cases import each
+from cases import each, every_formulation
 from collective import COMM, agree, raises
 from hand_torn import aij, random_values, solve, solved
+from modes import factors_of
 
 from dolfinx_feti.errors import FactorError, SetUpError
-from dolfinx_feti.feti.subdomain import analysis
-from dolfinx_feti.feti.subdomain.factors.dense import PackedMatrix, pack
-from dolfinx_feti.feti.subdomain.factors.direct import Choice, create_factor
-from dolfinx_feti.feti.subdomain.factors.pivoted import PivotedFactor
+from dolfinx_feti.feti.subdomain.factors import create
+from dolfinx_feti.feti.subdomain.factors.packed import PackedMatrix
+from dolfinx_feti.feti.subdomain.factors.petsc_factor import PetscFactor
+from dolfinx_feti.feti.subdomain.factors.petsc_solver import FactorOptions, factor_matrix
+from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace, pack
+from dolfinx_feti.feti.subsolver_options import DirectOptions
 from dolfinx_feti.runtime.petsc_options import inserted
 
 many = pytest.mark.processes(1, 2, 3, 4, 8)
 
 GRID = {"subdomains": (4, 2), "cells": (5, 2), "components": 2}
-WORK_SPACE = "dolfinx_feti.feti.subdomain.factors.direct.WORK_SPACE"
+WORK_SPACE = "dolfinx_feti.feti.subdomain.factors.petsc_solver.WORK_SPACE"
 LAST = COMM.rank == COMM.size - 1
 
 #: Kinds of errors and what they are raised with; a raised one would keep its frames alive.
@@ -36,7 +39,7 @@ ERRORS = {
 
 
 def fail_on_last(monkeypatch, place, error):
-    """Let a function raise an error on the last process."""
+    """Replace a function by one that raises an error on the last process."""
 
     def fail(*args, **kwargs):
         raise error[0](error[1])
@@ -48,7 +51,7 @@ def fail_on_last(monkeypatch, place, error):
 @many
 @each("error", ERRORS)
 def test_every_error_is_one_on_all(error, torn_grid, parts, monkeypatch):
-    fail_on_last(monkeypatch, "pseudoinverse.soft_modes", error)
+    fail_on_last(monkeypatch, "mode_search.soft_modes", error)
     A = torn_grid(**GRID).A
     first = min(i for i in range(8) if i * COMM.size // 8 == COMM.size - 1)
     words = str(error[0](error[1])).split("(")[0].strip()
@@ -57,12 +60,16 @@ def test_every_error_is_one_on_all(error, torn_grid, parts, monkeypatch):
 
 
 @many
-def test_solver_goes_on_when_the_cause_is_gone(torn_grid, feti, monkeypatch):
-    """The failure is a negative reason with a message, and the next set-up succeeds."""
+@every_formulation
+def test_solver_goes_on_when_the_cause_is_gone(formulation, torn_grid, feti, monkeypatch):
+    """The failure is a negative reason with a message, and the next set-up succeeds.
+
+    Without adaptive columns both formulations look for soft modes.
+    """
     problem = torn_grid(**GRID)
     with monkeypatch.context() as patched:
-        fail_on_last(patched, "pseudoinverse.soft_modes", ERRORS["memory"])
-        ksp = feti(problem.A)
+        fail_on_last(patched, "mode_search.soft_modes", ERRORS["memory"])
+        ksp = feti(problem.A, feti_formulation=formulation, feti_coarse_adaptive=0)
         agree(solve(ksp, problem, random_values(problem))[0] < 0)
         agree("MemoryError: Unable to allocate" in ksp.getPythonContext().message)
         agree(not ksp.getPythonContext().singular)
@@ -71,10 +78,10 @@ def test_solver_goes_on_when_the_cause_is_gone(torn_grid, feti, monkeypatch):
 
 def test_not_enough_work_space(torn_grid, parts, monkeypatch):
     """MUMPS fails for real with too little work space, and gets more of it."""
-    monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
+    monkeypatch.setattr(create, "multifrontal_code", lambda *_: None)
     monkeypatch.setattr(WORK_SPACE, (-99, 50))
     problem = torn_grid((2, 2), (12, 12), components=2)
-    factors = parts(problem.A, interior="keep").inverse.factors
+    factors = factors_of(parts(problem.A, interior="keep"))
     agree(all(factor.memory() > 0.0 for factor in factors))
     monkeypatch.setattr(WORK_SPACE, (-99,))
     memory = r"MemoryError: not enough memory or work space .*INFOG\(1\) = -9"
@@ -85,27 +92,27 @@ def test_not_enough_work_space(torn_grid, parts, monkeypatch):
 
 def test_memory_is_in_mebibytes(torn_grid, parts, monkeypatch):
     """MUMPS counts in units of 10⁶ bytes, the dense blocks in bytes."""
-    monkeypatch.setattr(analysis, "load_fronts_for", lambda *_: None)
+    monkeypatch.setattr(create, "multifrontal_code", lambda *_: None)
     system = parts(torn_grid((2, 2), (12, 12), components=2).A, interior="keep")
-    factors = system.inverse.factors
-    agree(all(isinstance(factor, PivotedFactor) for factor in factors))
+    factors = factors_of(system)
+    agree(all(isinstance(factor, PetscFactor) for factor in factors))
     millions = sum(factor._pc.getFactorMatrix().getMumpsInfog(22) for factor in factors)
     agree(abs(system.inverse.memory() - millions / 1.048576) < 1e-9 * max(millions, 1))
-    dense = PackedMatrix(pack(np.eye(512)), 512, np.empty(0))
+    dense = PackedMatrix(pack(np.eye(512)), 512, WorkSpace())
     agree(dense.memory() == 256 * 513 * 8 / 2**20)
 
 
 def test_other_solvers_do_not_tell(torn_grid, parts):
     with inserted("test_feti_local_", {"pc_factor_mat_solver_type": "petsc"}):
         system = parts(torn_grid(**GRID).A, interior="keep", type="classical")
-    counts = [factor.pivots for factor in system.inverse.factors]
+    counts = [factor.inertia for factor in factors_of(system)]
     agree(len(counts) > 0 and all(count == (None, None) for count in counts), counts)
     agree(system.inverse.negative() is None)
 
 
 def test_interior_that_only_seems_singular(torn_grid, parts, monkeypatch):
     """A badly conditioned one may grow random vectors, and have no null vector all the same."""
-    tells = "dolfinx_feti.feti.subdomain.nullspace.factor_tells_singular"
+    tells = "dolfinx_feti.feti.subdomain.interior.is_numerically_singular"
     monkeypatch.setattr(tells, lambda *_: True)
     parts(torn_grid(**GRID).A, interior="eliminate")
 
@@ -113,7 +120,7 @@ def test_interior_that_only_seems_singular(torn_grid, parts, monkeypatch):
 # ---- MUMPS runs out of memory ---------------------------------------------------------------
 
 PREFIX = "test_local_"
-CHOICE = Choice(PREFIX, symmetric=True, right_hand_sides=4)
+CHOICE = FactorOptions(DirectOptions(PREFIX), symmetric=True, right_hand_sides=4)
 
 #: A work space that no machine has, too low a limit: INFOG(1) and the remedy.
 SHORTAGES = {
@@ -133,7 +140,7 @@ def laplacian(lifetime):
 @each(("options", "infog", "remedy"), SHORTAGES)
 def test_shortage_of_memory(options, infog, remedy, laplacian):
     with inserted(PREFIX, options), pytest.raises(MemoryError) as caught:
-        create_factor(laplacian, CHOICE)
+        factor_matrix(laplacian, CHOICE)
     assert f"not enough memory or work space (MUMPS: INFOG(1) = {infog}" in str(caught.value)
     assert remedy.format(PREFIX) in str(caught.value)
 
@@ -142,7 +149,7 @@ def test_shortage_of_memory(options, infog, remedy, laplacian):
 @pytest.mark.parametrize("option", [{"mat_mumps_icntl_22": 1}, {"mat_mumps_icntl_23": 64}])
 def test_remedies_work(option, laplacian, lifetime):
     with inserted(PREFIX, option):
-        factor = lifetime.own(create_factor(laplacian, CHOICE))
+        factor = lifetime.own(factor_matrix(laplacian, CHOICE))
     b, x = map(lifetime.own, laplacian.createVecs())
     b.set(1.0)
     factor.apply(b, x)

@@ -3,6 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The modes of a subdomain: its kernel, rigid or not, soft and buckling modes, and their bases."""
 
+from types import SimpleNamespace
+
 import hand_torn
 import numpy as np
 import pytest
@@ -11,19 +13,27 @@ from cases import each, every_interior, every_type
 from collective import COMM, agree, equal, small, whole
 from hand_torn import components, edge, face, nowhere, origin, random_values, softened, solve
 from mixed import errors_of_solves
-from modes import modes_of
+from modes import factors_of, modes_of
 from walls import tube, wall
 
 from dolfinx_feti.feti.setup import set_up
 from dolfinx_feti.feti.subdomain.blocks import sparse_block
-from dolfinx_feti.feti.subdomain.modes import kernel_basis
+from dolfinx_feti.feti.subdomain.generalized_inverse import local_matrices
+from dolfinx_feti.feti.subdomain.modes import candidate_modes
 from dolfinx_feti.feti.subdomain.orthonormal import (
     append_orthonormal,
     orthonormal,
-    orthonormalising,
+    orthonormal_combinations,
 )
-from dolfinx_feti.feti.subdomain.soft import ALL_MODES, POWERS, buckling_modes, soft_modes
+from dolfinx_feti.feti.subdomain.scaled import scale_matrix
+from dolfinx_feti.feti.subdomain.soft_modes import (
+    MAX_DOFS_FOR_EIGH,
+    SUBSPACE_STEPS,
+    buckling_modes,
+    soft_modes,
+)
 
+SEED = 1744
 BRICK = (2, 2, 2)
 NODES = np.argwhere(np.ones((3, 3, 3))) * 1.0
 
@@ -52,12 +62,20 @@ def test_kernel_is_what_a_singular_value_decomposition_finds(held, dimension, to
     Another subdomain is held by a face, so that the whole is regular; it has no kernel. The factor
     of the regularised matrix is positive definite: the kernel is no larger.
     """
-    fixed = lambda x: held(x) | (x[:, :1] == 4.0)  # noqa: E731
+
+    def fixed(x):
+        return held(x) | (x[:, :1] == 4.0)
+
     problem = torn_grid((2, 1, 1), BRICK, components=3, fixed=fixed)
     system = parts(problem.A, type="classical")
-    errors, nullities = [0.0], []
-    for rows, R in zip(system.operator.dofs, modes_of(system).R, strict=True):
-        K = problem.K_torn[np.ix_(system.torn.start + rows, system.torn.start + rows)]
+    errors = [0.0]
+    nullities = []
+    for K_i in system.inverse.blocks:
+        rows = K_i.dofs
+        R = K_i.modes.R
+        K = problem.K_torn[
+            np.ix_(system.torn.first_torn_dof + rows, system.torn.first_torn_dof + rows)
+        ]
         null = scipy.linalg.null_space(K, rcond=1e-10) if len(K) else K
         errors += [
             np.abs(R.T @ R - np.eye(R.shape[1])).max(initial=0.0),
@@ -68,15 +86,15 @@ def test_kernel_is_what_a_singular_value_decomposition_finds(held, dimension, to
     small(max(errors), 1e-12)
     equal(whole(modes_of(system).dimensions), whole(np.array(nullities)))
     agree(whole(np.array(nullities))[0] == dimension, nullities)
-    counts = [factor.pivots for factor in system.inverse.factors]
+    counts = [factor.inertia for factor in factors_of(system)]
     agree(all(count == (0, 0) for count in counts), counts)
 
 
 def test_modes_that_coincide_on_a_subdomain_count_once():
     """On a single node a rotation is a translation."""
     modes = np.hstack([np.eye(3), np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])])
-    equal(kernel_basis(modes, np.zeros(3, dtype=bool)).shape, (3, 3))
-    equal(kernel_basis(np.eye(3), np.ones(3, dtype=bool)).shape, (0, 0))
+    equal(candidate_modes(modes, np.zeros(3, dtype=bool)).shape, (3, 3))
+    equal(candidate_modes(np.eye(3), np.ones(3, dtype=bool)).shape, (0, 0))
 
 
 @pytest.mark.parametrize("shift", [0.0, 1e6])
@@ -84,7 +102,7 @@ def test_kernel_does_not_depend_on_the_origin(shift):
     """Far from the origin rotations look like translations to one part in a million."""
     modes = hand_torn.kernel(NODES + shift, 3)
     fixed = components(edge, 0, 1, 2)(NODES).ravel()
-    R = kernel_basis(np.linalg.qr(modes)[0], fixed)
+    R = candidate_modes(np.linalg.qr(modes)[0], fixed)
     _, K = hand_torn.brick(BRICK, 3)
     agree(R.shape[1] == 1, R.shape)
     eps = np.finfo(float).eps
@@ -111,22 +129,25 @@ def test_kernel_of_a_few_cells(subdomains, kappa, interior, parts):
     problem._system.residual()
     problem._system.linearise()
     system = parts(problem.A, interior=interior, coarse_modes=0)
-    torn, modes = system.torn, modes_of(system)
+    torn = system.torn
+    modes = modes_of(system)
     expected = []
     for rows in torn.subdomains:
         K = sparse_block(torn.K, rows, rows).toarray()
         root = np.sqrt(K.diagonal())
         scaled = K / root[:, None] / root
         expected.append(scipy.linalg.null_space(scaled, rcond=1e-11).shape[1])
-    equal(np.array(modes.kernel, dtype=np.int64), expected)
+    sizes = np.array(modes.rigid_size) + np.array(modes.null_size)
+    equal(sizes.astype(np.int64), expected)
     agree(len(whole(np.array(expected))) >= subdomains and COMM.allreduce(sum(expected)) > 0)
     agree(subdomains < CELLS or set(expected) <= {9}, expected)
-    agree(all(modes.exact))
+    agree(all(modes.is_exact))
     small(max((np.abs(D).max(initial=0.0) for D in modes.D), default=0.0), 0.0)
     error = 0.0
-    for i, (E, rho) in enumerate(zip(modes.E, modes.rho, strict=True)):
-        image = system.operator.local_product(i, E)
-        error = max(error, np.abs(image).max(initial=0.0) / rho)
+    matrices = local_matrices(system.operator, system.pattern.analysis)
+    for K, K_i in zip(matrices, system.inverse.blocks, strict=True):
+        image = K.multiply(K_i.modes.E)
+        error = max(error, np.abs(image).max(initial=0.0) / K_i.modes.rho)
     small(error, 1e-11)
 
 
@@ -142,10 +163,44 @@ def test_few_cells_agree_with_a_direct_solver(kind, interior):
     small(max(step.linear_residual for step in steps), 1e-10)
 
 
+# ---- a graded matrix ------------------------------------------------------------------------
+
+
+class DenseMatrix:
+    """A dense ``LocalMatrix``, with a dense inverse as factor."""
+
+    def __init__(self, K):
+        self.K = K
+        self.diagonal = np.abs(K.diagonal())
+
+    def multiply(self, X):
+        return self.K @ X
+
+    def factor(self, R, rho, shift=None, *, is_graded=False):
+        addend = 0.0 if shift is None else np.diag(shift)
+        inverse = np.linalg.inv(self.K + rho * R @ R.T + addend)
+        return SimpleNamespace(solve=lambda X, transpose: inverse @ X, destroy=lambda: None)
+
+
+@pytest.mark.parametrize("dense", [100, 5], ids=["all vectors", "inverse iteration"])
+def test_null_vectors_of_a_graded_matrix(dense, monkeypatch):
+    """They are those of the scaled matrix, although the factor is that of the matrix before."""
+    monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_space.MAX_DOFS_FOR_SVD", dense)
+    rng = np.random.default_rng(SEED)
+    n = 60
+    Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    values = np.append(0.0, np.geomspace(1e-3, 1.0, n - 1))
+    row_scale = 10.0 ** rng.uniform(-2.0, 2.0, n)
+    K = row_scale[:, None] * ((Q * values) @ Q.T) * row_scale
+    scaled = scale_matrix(DenseMatrix(K), np.zeros(n), allow_single_precision=False)
+    Y = scaled.null_vectors(np.zeros((n, 0)))
+    expected = scaled.scale * Q[:, 0] / row_scale
+    spans(Y, expected[:, None] / np.linalg.norm(expected), 1e-6)
+
+
 # ---- soft and buckling modes ----------------------------------------------------------------
 
-SEED = 1744
-SIZES = (60, ALL_MODES + 100)  # dense, and by subspace iteration or Lanczos' method
+SIZES = (60, MAX_DOFS_FOR_EIGH + 100)  # dense, and by subspace iteration or Lanczos' method
 
 every_size = pytest.mark.parametrize("n", SIZES)
 
@@ -177,10 +232,14 @@ def test_soft_modes_are_those_below_the_threshold(n, threshold, count):
 
     Of a large subdomain one that is close to the threshold is not found for sure.
     """
-    values = [5e-5, 5e-3, 5e-2, 0.3] if n <= ALL_MODES else [5e-5, 5e-3, 5e-2, 0.15]
+    values = [5e-5, 5e-3, 5e-2, 0.3] if n <= MAX_DOFS_FOR_EIGH else [5e-5, 5e-3, 5e-2, 0.15]
     K, modes = matrix(n, values)
     Y = soft_modes(solver(K), np.ones(n), 12, threshold)
-    spans(Y, modes[:, :count], 1e-10 if n <= ALL_MODES else 10.0 * values[count - 1] ** POWERS)
+    spans(
+        Y,
+        modes[:, :count],
+        1e-10 if n <= MAX_DOFS_FOR_EIGH else 10.0 * values[count - 1] ** SUBSPACE_STEPS,
+    )
 
 
 @every_size
@@ -203,21 +262,28 @@ def test_buckling_modes(values, most, n):
     """The inverse shows those near zero, the matrix one that is far below."""
     K, modes = matrix(n, values, most)
     spans(
-        buckling_modes(solver(K), lambda X: K @ X, n, 3), modes, 1e-10 if n <= ALL_MODES else 0.05
+        buckling_modes(solver(K), lambda X: K @ X, n, 3),
+        modes,
+        1e-10 if n <= MAX_DOFS_FOR_EIGH else 0.05,
     )
 
 
 @every_type
 def test_more_soft_modes_fewer_iterations(kind, torn_grid, feti):
-    """Slender subdomains bend softly; the solution stays what it is."""
+    """Of the dual formulation: slender subdomains bend softly; the solution stays what it is."""
     problem = torn_grid((2, 3), (16, 2), components=2)
     values = random_values(problem)
-    iterations, sizes = [], []
+    iterations = []
+    sizes = []
     for threshold in (0.0, 0.01, 0.5):
         ksp = feti(
-            problem.A, feti_type=kind, feti_coarse_threshold=threshold, feti_coarse_modes=20,
+            problem.A,
+            feti_type=kind,
+            feti_coarse_threshold=threshold,
+            feti_coarse_modes=20,
+            feti_formulation="dual",
             ksp_rtol=1e-10,
-        )  # fmt: skip
+        )
         reason, x = solve(ksp, problem, values)
         agree(reason > 0)
         small(np.abs(x - problem.solve(values)).max(), 1e-6)
@@ -238,8 +304,8 @@ def test_adaptive_columns_take_the_place_of_soft_modes(
     """In the primal form; not where stress takes a share of the stiffness away."""
     problem = torn_grid((2, 3), (16, 2), components=2, change=softened(taken))
     options = {"interior": "eliminate", "coarse_adaptive": adaptive, "coarse_threshold": 0.5}
-    setup = set_up(pattern(problem.A, **options), lifetime, lifetime, rough=True)
-    agree((COMM.allreduce(sum(modes.soft for modes in setup.inverse.modes)) > 0) == found)
+    setup = set_up(pattern(problem.A, **options), lifetime, lifetime, allow_single_precision=True)
+    agree((COMM.allreduce(sum(modes.soft_size for modes in setup.inverse.modes)) > 0) == found)
 
 
 # ---- orthonormal bases, and columns that depend on others -----------------------------------
@@ -257,7 +323,8 @@ def columns(n, rank, repeated):
 @pytest.mark.parametrize("repeated", [0, 3])
 def test_bases_in_euclids_scalar_product(repeated):
     X = columns(40, 4, repeated)
-    Q, B = orthonormal(X), orthonormalising(X)
+    Q = orthonormal(X)
+    B = orthonormal_combinations(X)
     agree(Q.shape == (40, 4) and B.shape == (4 + repeated, 4))
     equal(Q.T @ Q, np.eye(4), 100 * EPS)
     small(np.abs(X - Q @ (Q.T @ X)).max(), 1e2 * EPS * np.abs(X).max())

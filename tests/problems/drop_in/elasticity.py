@@ -15,8 +15,10 @@ from dolfinx.fem.petsc import LinearProblem
 msh = mesh.create_box(
     MPI.COMM_WORLD, [(0.0, 0.0, 0.0), (2.0, 1.0, 1.0)], [8, 5, 5], mesh.CellType.tetrahedron
 )
-E, nu = 1.0e9, 0.3
-mu, lmbda = E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
+E = 1.0e9
+nu = 0.3
+mu = E / (2 * (1 + nu))
+lmbda = E * nu / ((1 + nu) * (1 - 2 * nu))
 x = ufl.SpatialCoordinate(msh)
 force = 10.0 * 300.0**2 * ufl.as_vector((x[0], x[1], 0.0))
 
@@ -27,7 +29,8 @@ def stress(w):
 
 
 V = fem.functionspace(msh, ("Lagrange", 1, (msh.geometry.dim,)))
-u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+u = ufl.TrialFunction(V)
+v = ufl.TestFunction(V)
 faces = mesh.locate_entities_boundary(
     msh, 2, lambda x: np.isclose(x[0], 0.0) | np.isclose(x[1], 1.0)
 )

@@ -30,11 +30,13 @@ bcs = [fem.dirichletbc(np.zeros(3, dtype=default_scalar_type), clamped, V)]
 B = fem.Constant(domain, default_scalar_type((0, 0, 0)))
 T = fem.Constant(domain, default_scalar_type((0, 0, 0)))
 
-v, u = ufl.TestFunction(V), fem.Function(V)
+v = ufl.TestFunction(V)
+u = fem.Function(V)
 F = ufl.variable(ufl.variable(ufl.Identity(len(u))) + ufl.grad(u))
 J = ufl.variable(ufl.det(F))
 Ic = ufl.variable(ufl.tr(ufl.variable(F.T * F)))
-E, nu = default_scalar_type(1.0e4), default_scalar_type(0.3)
+E = default_scalar_type(1.0e4)
+nu = default_scalar_type(0.3)
 mu = fem.Constant(domain, E / (2 * (1 + nu)))
 lmbda = fem.Constant(domain, E * nu / ((1 + nu) * (1 - 2 * nu)))
 psi = (mu / 2) * (Ic - 3) - mu * ufl.ln(J) + (lmbda / 2) * (ufl.ln(J)) ** 2

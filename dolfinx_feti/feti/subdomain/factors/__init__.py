@@ -1,7 +1,38 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Factors of a block of one subdomain: dense, front by front, with pivots.
+"""Factorisations of the matrix of one subdomain, or of its interior; ``create`` chooses one.
 
-In the order of the data: protocol, direct, dense, pivoted, multifrontal, regularised.
+``protocol`` has two interfaces. A *symbolic factor* belongs to a pattern and computes numeric
+factors of its matrices; a *factor* belongs to one matrix and solves. The files of ``subdomain``
+depend on these interfaces only.
+
+A new dense factorisation is a file with a class that has the methods of ``Factor``, and a branch in
+``create.factor_dense``. A new sparse one is a file with two classes, which have the methods of
+``SymbolicFactor`` and of ``Factor``, and a branch in ``create.analyse_blocks``. Two conditions:
+
+- For a block with an interface it has to form S. If it cannot, leave these blocks to the present
+  branch.
+- ``woodbury`` needs its ``last``, a dense block that is eliminated last. If it is empty,
+  ``create.factor_sparse`` falls back to ``petsc_factor`` for every block with modes R: add a branch
+  there that factors K + ρ R Rᵀ in another way.
+
+A direct solver of PETSc's needs no code, if it factors indefinite matrices, such as the bordered
+one of ``petsc_factor``: the options ``feti_local_pc_factor_mat_solver_type``, of K_ρ, and
+``feti_dirichlet_pc_factor_mat_solver_type``, of K_II, select it in place of MUMPS.
+
+=================  ====================================================  ===========================
+file               matrix                                                factorisation
+=================  ====================================================  ===========================
+``cholesky``       dense, definite; in double or in single precision     L Lᵀ, LAPACK
+``bunch_kaufman``  dense, symmetric                                      L Δ Lᵀ with pivots, LAPACK
+``multifrontal``   sparse, definite, with an interface or without        Uᵀ U by fronts, in C
+``woodbury``       sparse K + ρ R Rᵀ, symmetric                          a symbolic factor, and a
+                                                                         correction of rank 2 k
+``petsc_factor``   sparse K + ρ R Rᵀ + diag(σ), any                      MUMPS or another direct
+                                                                         solver, with pivots
+=================  ====================================================  ===========================
+
+In the order of the data: work_space, protocol, packed, cholesky, bunch_kaufman, petsc_solver,
+petsc_factor, nested_dissection, multifrontal, woodbury, create.
 """

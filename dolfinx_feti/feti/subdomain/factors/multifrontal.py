@@ -1,73 +1,84 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The Schur complement and the factor of the interior at once: the multifrontal method.
+r"""The Schur complement and the factor of the interior in one sweep: the multifrontal method.
 
 .. math:: K = \begin{pmatrix} K_{II} & K_{IΓ} \\ K_{ΓI} & K_{ΓΓ} \end{pmatrix}
             = \begin{pmatrix} U^⊤ & \\ W^⊤ & I \end{pmatrix}
               \begin{pmatrix} U & W \\ & S \end{pmatrix}, \qquad
           K_{II} = U^⊤ U, \qquad S = K_{ΓΓ} - W^⊤ W
 
-(eq. 51; Duff and Reid 1983; Liu 1992; docs/theory.md). The order of elimination is that of nested
-dissection (METIS, Karypis and Kumar 1998, or PETSc), found once for a pattern.
+(eq. 51; Duff and Reid 1983; Liu 1992; docs/theory.md). The fronts are found once for a pattern and
+serve all its matrices: :class:`Fronts` is a ``SymbolicFactor``. The algorithm is C
+(``multifrontal.c``); its data types and contracts are in ``multifrontal.h``.
 """
 
 from __future__ import annotations
 
-import ctypes
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from mpi4py import MPI
-from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse
 
 from dolfinx_feti.errors import FactorError
-from dolfinx_feti.feti.subdomain.factors.protocol import Pivots
-from dolfinx_feti.runtime.arrays import Array, Indices, Mask, Numbers
+from dolfinx_feti.feti.subdomain.factors.nested_dissection import nested_dissection
+from dolfinx_feti.feti.subdomain.factors.protocol import FactorInertia, destroyed_error
+from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace
+from dolfinx_feti.runtime.arrays import Array, Indices, Mask
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.runtime.lifetime import Lifetime
-from dolfinx_feti.runtime.native import address_of, load, pointer
-from dolfinx_feti.runtime.petsc_library import Rows, function
+from dolfinx_feti.runtime.native import address_of, load_with_header, pointer
+from dolfinx_feti.runtime.petsc_library import Rows
 
-#: Of METIS: the number of its options, and the code of success.
-METIS_OPTIONS, METIS_OK = 40, 1
-
-ROUTINES = ("dpotrf", "dtrtri", "dtrsm", "dtrmm", "dsyrk", "dgemm", "dtpsv", "dgemv")
-
-DECLARATIONS = """
-enum { DONE, NO_MEMORY, TOO_LARGE, INVALID, NOT_DEFINITE, NEW_PATTERN };
-typedef struct { int n_I, count, widest, thickest, last, *rank; int64_t entries, work;
-    double flops; ...; } fronts;
-typedef struct { ...; } dense;
-int fronts_analyse(int, const int *, const int *, const int *, int, const int *, fronts **);
-int fronts_factor(const fronts *, int, const int *, const int *, const int *, const int *,
-                  const double *, const double *, double *, double *, double *, const dense *);
-void fronts_solve(const fronts *, const double *, int, double *, double *, const dense *);
-double fronts_least_pivot(const fronts *, const double *);
-void fronts_free(fronts *);
-"""
+SOURCE = Path(__file__).with_name("multifrontal.c")
 
 
 class FrontCode:
-    """The compiled code, with the routines of BLAS and LAPACK that it calls."""
+    """The compiled code, with the routines of BLAS and LAPACK that it calls.
+
+    Attributes:
+        lib: The functions of ``multifrontal.h``.
+        ffi: Its types.
+        dense: The routines, a ``dense_routines *``.
+    """
 
     def __init__(self, module: Any) -> None:
-        self.module = module
+        """Set the addresses of the routines, from SciPy: ``dgemm`` for the field ``gemm``, etc."""
+        self._module = module
         self.lib = module.lib
-        self._routines = module.ffi.new("intptr_t[]", [address_of(name) for name in ROUTINES])
-        self.blas = module.ffi.cast("dense *", self._routines)
+        self.ffi = module.ffi
+        self.dense = self.ffi.new("dense_routines *")
+        for name, field in self.ffi.typeof("dense_routines").fields:
+            setattr(self.dense, name, self.ffi.cast(field.type, address_of("d" + name)))
 
-    def to(self, array: npt.NDArray[Any]) -> Any:
-        """Return a pointer to the entries of an array, column by column."""
-        return pointer(self.module, array, order="F")
+    def pointer(self, array: npt.NDArray[Any]) -> Any:
+        """Return a pointer to the entries of an array, column by column; it keeps the array."""
+        return pointer(self._module, array, order="F")
 
-    def check(self, status: int) -> None:
-        """Raise the error that a status means."""
+    def struct(self, kind: str, **fields: Any) -> Any:
+        """Return a pointer to a new struct.
+
+        Args:
+            kind: Name of its type.
+            fields: Numbers and arrays. The struct does not keep the arrays: the caller refers to
+                them until the last call of C with the struct.
+        """
+        values = {
+            name: self.pointer(value) if isinstance(value, np.ndarray) else value
+            for name, value in fields.items()
+        }
+        return self.ffi.new(f"{kind} *", values)
+
+    def require_done(self, status: int) -> None:
+        """Raise an error if the status of a C function is not ``DONE``.
+
+        Raises:
+            MemoryError: There is no memory for integers of the analysis or the factorisation.
+            FactorError: The graph or matrix is not what the code needs.
+        """
         if status == self.lib.NO_MEMORY:
             raise MemoryError("no memory for the fronts of a subdomain")
         if status == self.lib.TOO_LARGE:
@@ -75,226 +86,264 @@ class FrontCode:
         if status == self.lib.INVALID:
             raise FactorError("the graph of the subdomain, or the order of its nodes, is invalid")
         if status == self.lib.NEW_PATTERN:
-            raise FactorError("the pattern of the matrix has changed since it was analysed")
+            raise FactorError(
+                "the pattern of the matrix has changed since it was analysed: create a new solver"
+            )
 
 
 def load_fronts(comm: MPI.Comm) -> FrontCode:
-    """Load the code, which is compiled at first use. Collective."""
-    module = load(Path(__file__).with_name("multifrontal.c"), DECLARATIONS, comm)
+    """Load the code, which is compiled at first use. Collective.
+
+    Raises:
+        RuntimeError: It cannot be compiled, on all processes.
+    """
+    module = load_with_header(SOURCE, comm)
     return on_all(lambda: FrontCode(module), comm)
 
 
-def load_fronts_for(prefix: str, comm: MPI.Comm) -> FrontCode | None:
-    """Load the code, unless the options with this prefix name a solver. Collective."""
-    options = PETSc.Options(prefix)
-    named = options.hasName("pc_factor_mat_solver_type") or options.hasName("pc_type")
-    return None if named else load_fronts(comm)
+class FrontElimination(NamedTuple):
+    """The interior of one matrix, eliminated; an ``Elimination``.
+
+    Attributes:
+        factor: The factor of K_II.
+        schur: S in packed format, (n_{Γ,i} (n_{Γ,i} + 1) / 2,).
+    """
+
+    factor: FrontFactor
+    schur: Array
 
 
 class Fronts:
-    """The fronts of one subdomain, of all matrices of a pattern; immutable.
+    """The fronts of one subdomain, for all matrices of a pattern: a ``SymbolicFactor``.
 
     Attributes:
         code: The compiled code.
-        data: What it has found.
-        rows: Rows of the subdomain in the matrix, ascending, (n,).
-        ranks: Place of each dof of the interior in the order of elimination, (n_I,).
-        last: Pivots of the last front, among the dofs of the interior.
-        entries: Entries of the factor of K_II.
-        work: Entries of the work space of :meth:`factor`.
-        flops: Operations of a factorisation.
+        tree: The fronts, an ``assembly_tree *`` of C.
+        ranks: Place of each interior dof in the order of elimination, (n_{I,i},).
+        last: Interior dofs that are pivots of the last front, (p,). If the interior is connected,
+            they contain a separator that cuts it in two.
+        factor_entries: Number of entries of the factor of K_II.
+        work_entries: Number of entries of the work space of :meth:`factor`.
+        flops: Operations of a factorisation, for benchmarks.
     """
 
     def __init__(
         self,
         code: FrontCode,
         rows: Indices,
-        number: Indices,
+        local_index: Indices,
         size: Indices,
         graph: tuple[Indices, Indices],
-        glued: Mask,
+        is_on_interface: Mask,
     ) -> None:
-        """Find the fronts, as ``create_fronts``, of nodes of consecutive rows, ``size`` each, (m,).
+        """Analyse the graph of a subdomain; see :func:`create_fronts` for its matrix.
 
-        The graph has the nodes that each is coupled with: where they begin, (m + 1,), and numbers.
-        The nodes of Γ are ``glued``, (m,). A FactorError tells that a subdomain is too large.
-        """
-        ptr, adjacent = graph
-        m, entries = len(size), len(adjacent)
-        fits = len(ptr) == m + 1 == len(glued) + 1 and size.sum() == len(rows)
-        fits = fits and ptr[0] == 0 and ptr[-1] == entries and np.diff(ptr).min(initial=0) >= 0
-        if not fits or adjacent.min(initial=0) < 0 or adjacent.max(initial=-1) >= m:
-            code.check(code.lib.INVALID)
-        interior = _order(*graph, np.flatnonzero(~glued).astype(np.int32))
-        made = code.module.ffi.new("fronts **")
-        arrays = map(code.to, (size, ptr, adjacent))
-        code.check(code.lib.fronts_analyse(m, *arrays, len(interior), code.to(interior), made))
-        data = code.module.ffi.gc(made[0], code.lib.fronts_free)
-        of_rows = np.repeat(glued, size)
-        rank = np.frombuffer(code.module.ffi.buffer(data.rank, 4 * len(rows)), dtype=np.int32)
-        self.code, self.data = code, data
-        self.rows = rows
-        self.ranks = rank[~of_rows].copy()
-        self.last = np.argsort(self.ranks)[data.last :]
-        self.entries = int(data.entries)
-        self.work = int(data.work)
-        self.flops = float(data.flops)
-        self._number = number
-        self._n_Γ = int(np.count_nonzero(of_rows))
-
-    def factor(
-        self, K: Rows, work: Array, held: Array | None = None
-    ) -> tuple[FrontFactor, Array] | None:
-        """Factor K_II and form S of a K of the same pattern, (N, N); None if K_II is not definite.
-
-        In a work space, (at least ``work``,). Added to K_II on the dofs ``last`` is ``held``. S is
-        in packed format, (n_Γ (n_Γ + 1) / 2,), see ``dense``.
+        Args:
+            code: The compiled code.
+            rows: Rows of the subdomain in the matrix, ascending, (n_i,).
+            local_index: Place of each row of the matrix among those of its subdomain, or a negative
+                number, (n,).
+            size: Number of consecutive rows of each node of the graph, (nodes,).
+            graph: Place of the first neighbour of each node, (nodes + 1,), and all neighbours.
+            is_on_interface: Mask of the nodes of Γ, (nodes,).
 
         Raises:
-            FactorError: K has an entry that the pattern does not have.
+            FactorError: The arrays do not fit, or the subdomain is too large for 32-bit indices.
+            MemoryError: There is no memory for the fronts.
         """
-        code, N = self.code, len(self._number)
-        if len(K.indptr) != N + 1 or not len(K.indices) == len(K.values) == K.indptr[-1]:
-            code.check(code.lib.NEW_PATTERN)
-        if len(work) < self.work:
-            raise ValueError(f"work has {len(work)} entries, but {self.work} are needed")
-        if held is not None and held.shape != (len(self.last),) * 2:
-            raise ValueError(f"held has shape {held.shape}, but last {len(self.last)} dofs")
-        values = np.empty(self.entries)
-        S = np.zeros(self._n_Γ * (self._n_Γ + 1) // 2)
-        matrix = (self.rows, K.indptr, K.indices, self._number, K.values)
-        status = code.lib.fronts_factor(
-            self.data,
-            N,
-            *(code.to(array) for array in matrix),
-            code.module.ffi.NULL if held is None else code.to(np.asfortranarray(held)),
-            *(code.to(array) for array in (values, S, work)),
-            code.blas,
+        ptr, adjacent = graph
+        if not _is_graph(ptr, adjacent, len(size)) or len(is_on_interface) != len(size):
+            code.require_done(code.lib.INVALID)  # raises the error
+        if size.sum() != len(rows):
+            code.require_done(code.lib.INVALID)
+        order = nested_dissection(ptr, adjacent, np.flatnonzero(~is_on_interface).astype(np.int32))
+        graph_in_C = code.struct(
+            "subdomain_graph",
+            nodes=len(size),
+            size=size,
+            ptr=ptr,
+            adjacent=adjacent,
+            interior_nodes=len(order),
+            order=order,
         )
+        result = code.ffi.new("assembly_tree **")
+        code.require_done(code.lib.multifrontal_analyse(graph_in_C, result))
+        tree = code.ffi.gc(result[0], code.lib.multifrontal_free)
+        is_interface_dof = np.repeat(is_on_interface, size)
+        rank_of_dof = np.frombuffer(
+            code.ffi.buffer(tree.rank_of_dof, 4 * len(rows)), dtype=np.int32
+        )
+        self.code = code
+        self.tree = tree
+        self.ranks = rank_of_dof[~is_interface_dof].copy()
+        interior_dof_of_rank = np.argsort(self.ranks)  # the inverse permutation
+        self.last = interior_dof_of_rank[tree.last_front_rank :]
+        self.factor_entries = int(tree.factor_entries)
+        self.work_entries = int(tree.work_entries)
+        self.flops = float(tree.flops)
+        self._rows = rows
+        self._local_index = local_index
+        self._n_Γ = int(np.count_nonzero(is_interface_dof))
+
+    def factor(
+        self, K: Rows, work: WorkSpace, addend_on_last: Array | None = None
+    ) -> FrontElimination | None:
+        """Factor K_II and form S of a matrix with the pattern of the analysis.
+
+        Args:
+            K: Matrix of all subdomains of the process, (n, n).
+            work: Work space.
+            addend_on_last: Added to K_II on the dofs ``last``, (p, p); None for zero.
+
+        Returns:
+            The factor and S; None if K_II is not positive definite.
+
+        Raises:
+            FactorError: K has an entry outside of the pattern.
+            MemoryError: Memory ran out.
+        """
+        code = self.code
+        n = len(self._local_index)
+        p = len(self.last)
+        if len(K.indptr) != n + 1 or not len(K.indices) == len(K.values) == K.indptr[-1]:
+            code.require_done(code.lib.NEW_PATTERN)
+        if addend_on_last is not None and addend_on_last.shape != (p, p):
+            raise ValueError(f"addend_on_last is {addend_on_last.shape}, but last has {p} dofs")
+        values = np.empty(self.factor_entries)
+        schur = np.zeros(self._n_Γ * (self._n_Γ + 1) // 2)
+        work_entries = work.entries(self.work_entries)
+        matrix = code.struct(
+            "process_matrix",
+            n=n,
+            indptr=K.indptr,
+            indices=K.indices,
+            values=K.values,
+            rows=self._rows,
+            local_index=self._local_index,
+        )
+        storage = code.struct("factor_storage", factor=values, schur=schur, work=work_entries)
+        addend = code.ffi.NULL
+        if addend_on_last is not None:
+            addend = code.pointer(np.asfortranarray(addend_on_last))
+        status = code.lib.multifrontal_factor(self.tree, matrix, addend, storage, code.dense)
         if status == code.lib.NOT_DEFINITE:
             return None
-        code.check(status)
-        return FrontFactor(self, values), S
+        code.require_done(status)
+        return FrontElimination(FrontFactor(self, values), schur)
 
 
-@dataclass(frozen=True, slots=True)
 class FrontFactor:
-    """The factor of the K_II of one matrix; methods are those of ``Factor``.
+    """The factor of the K_II of one matrix, (n_{I,i}, n_{I,i}); methods are those of ``Factor``.
 
     Attributes:
-        fronts: The fronts that it was made with.
-        values: U, packed, and the rows of W in the interior, front by front, (entries,).
+        inertia: No negative eigenvalues, and no zero pivots: K_II is positive definite.
+        is_single_precision: False.
+        fronts: The fronts that it was computed with.
+        values: U, packed, and the rows of W in the interior, front by front, (factor_entries,);
+            None if the factor has been destroyed.
     """
 
-    fronts: Fronts
-    values: Array
+    inertia = FactorInertia(0, 0)
+    is_single_precision = False
 
-    @property
-    def pivots(self) -> Pivots:
-        """Numbers of negative and zero eigenvalues."""
-        return Pivots(0, 0)
+    def __init__(self, fronts: Fronts, values: Array) -> None:
+        """Own the entries of a factor."""
+        self.fronts = fronts
+        self.values: Array | None = values
+
+    def solve(self, Y: Array, *, transpose: bool = False) -> Array:
+        """Return K_II⁻¹ Y = U⁻¹ U⁻ᵀ Y, (n_{I,i},) or (n_{I,i}, r)."""
+        if self.values is None:
+            raise destroyed_error()
+        code = self.fronts.code
+        tree = self.fronts.tree
+        ranks = self.fronts.ranks
+        X = np.empty(Y.shape, order="F")
+        X[ranks] = Y
+        if not X.size:
+            return X
+        columns = 1 if Y.ndim == 1 else Y.shape[1]
+        size = tree.max_update_rows * columns
+        if columns > 1:
+            size = max(size, tree.max_pivots**2)
+        work = np.empty(max(size, 1))
+        code.lib.multifrontal_solve(
+            tree,
+            code.pointer(self.values),
+            columns,
+            code.pointer(X),
+            code.pointer(work),
+            code.dense,
+        )
+        return X[ranks]
+
+    def smallest_pivot(self) -> float:
+        """Return the smallest square of a diagonal entry of U; infinity if there is none."""
+        if self.values is None:
+            raise destroyed_error()
+        code = self.fronts.code
+        values = code.pointer(self.values)
+        return float(code.lib.multifrontal_smallest_pivot(self.fronts.tree, values))
 
     def memory(self) -> float:
         """Return the memory of the factor in MiB."""
-        return self.values.nbytes / 2**20
-
-    def least_pivot(self) -> float:
-        """Return the least square of a diagonal entry of U: what elimination leaves of K_II's."""
-        code = self.fronts.code
-        return float(code.lib.fronts_least_pivot(self.fronts.data, code.to(self.values)))
-
-    def solve(self, Y: Array, *, transpose: bool = False) -> Array:
-        """Return K_II⁻¹ Y for one right-hand side, (n_I,), or several, (n_I, r)."""
-        code, fronts, ranks = self.fronts.code, self.fronts.data, self.fronts.ranks
-        X = np.empty(Y.shape, order="F")
-        X[ranks] = Y
-        columns = 1 if Y.ndim == 1 else Y.shape[1]
-        triangle = fronts.thickest**2 if columns > 1 else 0
-        work = np.empty(max(fronts.widest * columns, triangle, 1))
-        if X.size:
-            values, entries, space = (code.to(array) for array in (self.values, X, work))
-            code.lib.fronts_solve(fronts, values, columns, entries, space, code.blas)
-        return X[ranks]  # U⁻¹ U⁻ᵀ Y
+        return 0.0 if self.values is None else self.values.nbytes / 2**20
 
     def destroy(self) -> None:
-        """Do nothing: arrays are freed with the object."""
+        """Free the entries."""
+        self.values = None
 
 
 def create_fronts(
     code: FrontCode,
     graph: scipy.sparse.csr_array,
     rows: Indices,
-    number: Indices,
+    local_index: Indices,
     bs: int,
     interface: Indices,
 ) -> Fronts:
-    """Find the fronts of a subdomain: ascending rows, (n,), of K, (N, N), of block size bs.
+    """Find the fronts of a subdomain of a matrix K, (n, n), with blocks of bs dofs.
 
-    The graph is that of the blocks of K, (N / bs, N / bs), and ``number`` has for each column of K
-    its place among the rows, or a negative number. ``interface`` are those of the rows, ascending,
-    that are Γ; none, and K_II is K.
+    A node of their graph consists of the rows of one block that are all on Γ, or all in the
+    interior.
+
+    Args:
+        code: The compiled code.
+        graph: Which blocks K couples, (n / bs, n / bs).
+        rows: Rows of the subdomain, ascending, (n_i,).
+        local_index: Place of each row of K among those of its subdomain, or a negative number,
+            (n,).
+        bs: Dofs of a block.
+        interface: Places of the dofs of Γ among the rows, ascending; if there are none, K_II is the
+            matrix of the subdomain.
+
+    Raises:
+        FactorError: The subdomain is too large for 32-bit indices.
+        MemoryError: There is no memory for the fronts.
     """
-    n, blocks = len(rows), rows // bs
-    glued = np.zeros(n, dtype=bool)
-    glued[interface] = True
-    new = np.ones(n, dtype=bool)
-    new[1:] = (np.diff(blocks) != 0) | (np.diff(glued))
-    size = np.bincount(np.cumsum(new) - 1).astype(np.int32)
-    block = blocks[new]  # of each node
-    first, last = block.min(initial=len(number)), block.max(initial=-1)
-    nodes = graph[first : last + 1, first : last + 1]
-    if np.any(np.diff(block) != 1):
-        nodes = nodes[block - first][:, block - first]
-    return Fronts(code, rows, number, size, (nodes.indptr, nodes.indices), glued[new])
+    block_of_row = rows // bs
+    is_on_interface = np.zeros(len(rows), dtype=bool)
+    is_on_interface[interface] = True
+    begins_block = block_of_row[1:] != block_of_row[:-1]
+    crosses_interface = is_on_interface[1:] != is_on_interface[:-1]
+    begins_node = np.ones(len(rows), dtype=bool)
+    begins_node[1:] = begins_block | crosses_interface
+    size = np.bincount(np.cumsum(begins_node) - 1).astype(np.int32)
+    block_of_node = block_of_row[begins_node]
+    first = block_of_node.min(initial=len(local_index))
+    last = block_of_node.max(initial=-1)
+    nodes = graph[first : last + 1, first : last + 1]  # all of it, if the blocks are consecutive
+    if np.any(np.diff(block_of_node) != 1):  # gaps, or two nodes in a block
+        nodes = nodes[block_of_node - first][:, block_of_node - first]
+    return Fronts(
+        code, rows, local_index, size, (nodes.indptr, nodes.indices), is_on_interface[begins_node]
+    )
 
 
-def _order(ptr: Indices, adjacent: Indices, interior: Indices) -> Indices:
-    """Order the nodes of the interior by nested dissection: METIS's, or PETSc's without it."""
-    place = np.full(len(ptr) - 1, -1, dtype=np.int32)
-    place[interior] = np.arange(len(interior))
-    row, column = np.repeat(place, np.diff(ptr)), place[adjacent]
-    inside = (row >= 0) & (column >= 0) & (row != column)
-    row, column = row[inside], column[inside]
-    if len(row) == 0:
-        return interior
-    begin = np.searchsorted(row, np.arange(len(interior) + 1))
-    symmetric = _is_symmetric(row, column, len(interior))
-    dissected = _dissect(begin, column) if symmetric else None
-    return interior[_order_of_petsc(begin, column) if dissected is None else dissected]
-
-
-def _is_symmetric(row: Indices, column: Indices, n: int) -> bool:
-    """Tell, by random numbers, whether (j, i) is among the pairs wherever (i, j) is."""
-    x, y = np.random.default_rng(1998).integers(2**63, size=(2, n), dtype=np.uint64)
-    return bool(np.sum(x[row] * y[column]) == np.sum(x[column] * y[row]))  # modulo 2⁶⁴
-
-
-def _dissect(ptr: Numbers, adjacent: Indices) -> Indices | None:
-    """Order nodes by METIS's nested dissection; None where PETSc is not linked with METIS.
-
-    The graph has to be symmetric and without loops: with others METIS may never end. Its integers
-    have 32 or 64 bits; the options that it sets to −1 tell.
-    """
-    dissect = function("METIS_NodeND", (ctypes.c_void_p,) * 7)
-    set_options = function("METIS_SetDefaultOptions", (ctypes.c_void_p,))
-    if dissect is None or set_options is None:
-        return None
-    options = np.zeros(METIS_OPTIONS, dtype=np.int64)
-    set_options(options.ctypes.data)
-    kind = np.int64 if np.all(options == -1) else np.int32
-    n = np.array([len(ptr) - 1], dtype=kind)
-    graph = [part.astype(kind) for part in (ptr, adjacent)]
-    order, rank = np.empty((2, int(n[0])), dtype=kind)
-    pointers = [None if a is None else a.ctypes.data for a in (n, *graph, None, None, order, rank)]
-    done = dissect(*pointers) == METIS_OK
-    is_one = done and np.array_equal(np.sort(order), np.arange(len(order)))
-    return order.astype(np.int32) if is_one else None
-
-
-def _order_of_petsc(ptr: Numbers, adjacent: Indices) -> Indices:
-    """Order nodes by PETSc's nested dissection."""
-    csr = (ptr.astype(PETSc.IntType), adjacent.astype(PETSc.IntType), np.ones(len(adjacent)))
-    with Lifetime() as owned:
-        graph = owned.own(PETSc.Mat().createAIJ((len(ptr) - 1,) * 2, csr=csr, comm=PETSc.COMM_SELF))
-        order, _ = map(owned.own, graph.getOrdering("nd"))
-        return np.asarray(order.indices.astype(np.int32))
+def _is_graph(ptr: Indices, adjacent: Indices, nodes: int) -> bool:
+    """Return True if the arrays are a graph: ``ptr`` ascends, neighbours are nodes."""
+    if len(ptr) != nodes + 1 or ptr[0] != 0 or ptr[-1] != len(adjacent):
+        return False
+    if np.diff(ptr).min(initial=0) < 0:
+        return False
+    return bool(adjacent.min(initial=0) >= 0 and adjacent.max(initial=-1) < nodes)

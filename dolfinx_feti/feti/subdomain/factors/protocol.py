@@ -1,58 +1,152 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""What a factor of a block of one subdomain does, however the block is stored and factored.
+r"""Interfaces of the factorisations of one subdomain: symbolic factors, and factors.
 
 .. math:: x = (K + ρ\, R R^⊤ + \operatorname{diag} σ)^{-1} y
 
-with orthonormal columns R, a stiffness ρ and a shift σ, each of which may be missing. A factor
-belongs to one matrix and does not change.
+with columns R, (n_i, k), a stiffness ρ and a shift σ, each of which may be absent. R is orthonormal
+where a subdomain is regularised, but not in the search for null vectors (``null_space``). A
+symbolic factor belongs to the pattern of K and serves all its matrices; a factor belongs to one
+matrix, refers to none, and stays as it is if the matrix changes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from dolfinx_feti.runtime.arrays import Array
+import numpy as np
+
+from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace
+from dolfinx_feti.runtime.arrays import Array, Numbers
+from dolfinx_feti.runtime.petsc_library import Rows
 
 
-class Pivots(NamedTuple):
-    """What a factor tells of its matrix; None where it does not tell.
+class FactorInertia(NamedTuple):
+    """Counts of pivots, which give the signs of the eigenvalues of a matrix.
 
     Attributes:
-        negative: Number of negative eigenvalues.
-        zero: Number of pivots that are exactly zero; a singular matrix may have none.
+        negative: Number of negative eigenvalues (Sylvester's law of inertia); None if the
+            factorisation does not report it.
+        zero_pivots: Number of pivots that are exactly zero; a singular matrix may have none. None
+            if the factorisation does not report it.
     """
 
     negative: int | None
-    zero: int | None
+    zero_pivots: int | None
 
 
 class Factor(Protocol):
-    """A factored block, (n, n)."""
+    """The factor of one matrix, (n_i, n_i)."""
 
     @property
-    def pivots(self) -> Pivots:
-        """Numbers of negative and zero eigenvalues."""
+    def inertia(self) -> FactorInertia:
+        """Numbers of negative eigenvalues and of zero pivots; they outlive ``destroy``."""
+
+    @property
+    def is_single_precision(self) -> bool:
+        """Whether the factor is in single precision; ``solve`` takes and returns doubles."""
 
     def solve(self, Y: Array, *, transpose: bool = False) -> Array:
-        """Solve for one right-hand side, (n,), or several, (n, r)."""
+        """Solve with the matrix or its transpose.
+
+        Args:
+            Y: One right-hand side, (n_i,), or several, (n_i, r).
+            transpose: Solve with the transpose; the same for a symmetric matrix.
+
+        Returns:
+            The solutions, a new array of the shape of Y.
+
+        Raises:
+            RuntimeError: The factor has been destroyed.
+        """
 
     def memory(self) -> float:
-        """Return the memory of the factor in MiB."""
+        """Return the memory of the factor in MiB; zero if it is not known, or destroyed."""
 
     def destroy(self) -> None:
-        """Free the factor, which solves nothing from then on."""
+        """Free the memory of the factor; further calls do nothing."""
 
 
-def require_alive(alive: bool) -> None:
-    """Refuse to solve with a destroyed factor, before a library reads memory that is free."""
-    if not alive:
-        raise RuntimeError("the factor has been destroyed: factor the matrix again")
+class Elimination(Protocol):
+    """The result of eliminating the interior of one matrix."""
+
+    @property
+    def factor(self) -> Factor:
+        """The factor of K_II."""
+
+    @property
+    def schur(self) -> Array:
+        """S in packed format, (n_{Γ,i} (n_{Γ,i} + 1) / 2,); no entries without an interface."""
 
 
-def sum_known(counts: Sequence[int | None]) -> int | None:
-    """Add up numbers; None if one of them is not known."""
+class SymbolicFactor(Protocol):
+    """What the pattern of one sparse symmetric block determines; immutable.
+
+    The block is that of a subdomain, with its interface Γ or without, (n_i, n_i).
+    """
+
+    @property
+    def last(self) -> Numbers:
+        """Interior dofs that are eliminated last, (p,), by their places in the interior.
+
+        They form one dense block of the factor: adding a dense matrix to K_II on these dofs adds no
+        entries to the factor. Empty if the factorisation has no such block.
+        """
+
+    def factor(
+        self, K: Rows, work: WorkSpace, addend_on_last: Array | None = None
+    ) -> Elimination | None:
+        """Factor K_II, and form S, for one matrix with this pattern.
+
+        Args:
+            K: Matrix of all subdomains of the process, (n, n).
+            work: Work space.
+            addend_on_last: Added to K_II on the dofs ``last``, (p, p); None for zero.
+
+        Returns:
+            The factor and S; None if K_II is not positive definite.
+
+        Raises:
+            FactorError: K has an entry outside of the pattern.
+            MemoryError: Memory ran out.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class EmptyFactor:
+    """The factor of a matrix without rows; methods are those of ``Factor``.
+
+    It has nothing to free: ``solve`` works after ``destroy``, too.
+    """
+
+    is_single_precision = False
+
+    @property
+    def inertia(self) -> FactorInertia:
+        """No negative eigenvalues, and no zero pivots."""
+        return FactorInertia(0, 0)
+
+    def solve(self, Y: Array, *, transpose: bool = False) -> Array:
+        """Return no entries, of the shape of Y, (0,) or (0, r)."""
+        return np.zeros(Y.shape)
+
+    def memory(self) -> float:
+        """Return zero."""
+        return 0.0
+
+    def destroy(self) -> None:
+        """Do nothing."""
+
+
+def destroyed_error() -> RuntimeError:
+    """Return the error of a solve with a factor that has been destroyed."""
+    return RuntimeError("the factor has been destroyed: factor the matrix again")
+
+
+def sum_counts(counts: Sequence[int | None]) -> int | None:
+    """Return the sum of counts; None if one of them is None."""
     known = [count for count in counts if count is not None]
     return sum(known) if len(known) == len(counts) else None

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Fronts: S and the factor of K_II at once, against dense algebra and against MUMPS."""
+"""The multifrontal method: S and the factor of K_II, against dense algebra."""
 
 import ctypes
 
@@ -11,18 +11,18 @@ import scipy.sparse
 from collective import COMM, agree, equal, raises
 
 from dolfinx_feti.errors import FactorError
-from dolfinx_feti.feti.subdomain.factors import multifrontal as fronts
-from dolfinx_feti.feti.subdomain.factors.dense import pack
+from dolfinx_feti.feti.subdomain.factors import nested_dissection as ordering
 from dolfinx_feti.feti.subdomain.factors.multifrontal import create_fronts, load_fronts
-from dolfinx_feti.runtime.connectivity import block_graph
+from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace, pack
 from dolfinx_feti.runtime.petsc_library import Rows
+from dolfinx_feti.torn.connectivity import block_graph
 
 EPS = np.finfo(np.float64).eps
-ROUNDING = 100.0  # multiples of eps cond(K_II) that a solution may be off
+ROUNDING = 100.0  # error of a solution, in multiples of eps cond(K_II)
 
 
 def grid(shape, bs, seed=3):
-    """Return a random definite matrix on a grid of nodes of bs dofs, and its Γ: one face."""
+    """Return a random definite matrix on a grid of nodes of bs dofs, and its Γ, one face."""
     line = [
         scipy.sparse.diags_array([1.0, 2.0, 1.0], offsets=[-1, 0, 1], shape=(k, k)) for k in shape
     ]
@@ -34,7 +34,8 @@ def grid(shape, bs, seed=3):
     K = (pattern + pattern.T).tocsr()
     K = (K + scipy.sparse.diags_array(np.abs(K).sum(axis=1) + 1.0)).tocsr()
     K.sort_indices()
-    n, face = K.shape[0], bs * int(np.prod(shape[1:]))
+    n = K.shape[0]
+    face = bs * int(np.prod(shape[1:]))
     return K, np.arange(n - face, n, dtype=np.int32)
 
 
@@ -44,7 +45,7 @@ def arrays(K):
 
 
 def analysed(K, Γ, bs, rows=None):
-    """Return the fronts of a sparse matrix, or of some of its rows."""
+    """Return the fronts of a sparse matrix, or of a subdomain with the given rows."""
     rows = np.arange(K.shape[0], dtype=np.int32) if rows is None else rows
     number = np.full(K.shape[0], -1, dtype=np.int32)
     number[rows] = np.arange(len(rows))
@@ -53,8 +54,8 @@ def analysed(K, Γ, bs, rows=None):
 
 
 def factored(fronts, K):
-    """Return the factor and S; None if there is none."""
-    return fronts.factor(arrays(K), np.empty(fronts.work))
+    """Return the factor and S; None if K_II is not definite."""
+    return fronts.factor(arrays(K), WorkSpace())
 
 
 def parts(K, Γ):
@@ -65,7 +66,10 @@ def parts(K, Γ):
 
 
 def check(K, Γ, bs, rows=None):
-    """Compare S and K_II⁻¹ with dense algebra, while another factor exists; return the fronts."""
+    """Compare S and K_II⁻¹ with dense algebra; return the fronts.
+
+    A second factor by the same fronts exists meanwhile: neither changes the other.
+    """
     fronts = analysed(K, Γ, bs, rows)
     (factor, S), (other, S_4) = (factored(fronts, c * K) for c in (1.0, 4.0))
     K_II, K_IΓ, K_ΓΓ = parts(K if rows is None else K[rows][:, rows], Γ)
@@ -76,7 +80,7 @@ def check(K, Γ, bs, rows=None):
     equal(factor.solve(Y[:, 0]), factor.solve(Y)[:, 0], tolerance)
     equal(4.0 * other.solve(Y), factor.solve(Y), 10 * EPS)
     equal(S_4, 4.0 * S, 10 * EPS)
-    agree(factor.memory() == 8 * fronts.entries / 2**20)
+    agree(factor.memory() == 8 * fronts.factor_entries / 2**20)
     return fronts
 
 
@@ -88,18 +92,18 @@ def test_schur_complement_and_factor(shape, bs):
 
 
 @pytest.mark.parametrize("pivots", [1, 47, 48, 49, 96, 97, 130])
-def test_a_front_of_several_narrow_triangles(pivots):
-    """All dofs touch each other: one front, here with condition 1e8, a few triangles wide."""
+def test_one_dense_front(pivots):
+    """Numbers of pivots around multiples of the block size of 48 in solve_update_columns."""
     n = pivots + 20
     Q = np.linalg.qr(np.random.default_rng(n).standard_normal((n, n)))[0]
     K = (Q * np.geomspace(1.0, 1e8, n)) @ Q.T
     fronts = check(scipy.sparse.csr_array(0.5 * (K + K.T)), np.arange(pivots, n, dtype=np.int32), 1)
-    agree(fronts.data.count == 1 and len(fronts.last) == pivots)
+    agree(fronts.tree.front_count == 1 and len(fronts.last) == pivots)
 
 
 @pytest.mark.parametrize("bs", [1, 2, 3])
-def test_interface_that_cuts_nodes(bs):
-    """Single dofs of a node may be of Γ, and others missing."""
+def test_interface_with_some_dofs_of_a_node(bs):
+    """Of the dofs of a node, some are on Γ, some inside, and some fixed."""
     K, _ = grid((5, 5, 6), 3)
     rng = np.random.default_rng(bs)
     free = np.sort(rng.permutation(K.shape[0])[:-40])
@@ -108,36 +112,38 @@ def test_interface_that_cuts_nodes(bs):
 
 
 @pytest.mark.parametrize("metis", [True, False], ids=["METIS", "PETSc"])
-def test_orders(metis, monkeypatch):
-    """METIS orders where PETSc is linked with it; without it, or if it fails, PETSc does."""
-    found = fronts.function("METIS_NodeND", (ctypes.c_void_p,) * 7)
+def test_order_is_a_permutation(metis, monkeypatch):
+    """By METIS if PETSc is linked with it; by PETSc without it, or if it fails."""
+    found = ordering.c_function("METIS_NodeND", (ctypes.c_void_p,) * 7)
     if not metis:
-        monkeypatch.setattr(fronts, "function", lambda *_: None)
+        monkeypatch.setattr(ordering, "c_function", lambda *_: None)
     K, Γ = grid((7, 6, 5), 1)
-    ptr, adjacent, interior = K.indptr, K.indices, np.arange(K.shape[0] - len(Γ), dtype=np.int32)
-    order = fronts._order(ptr, adjacent, interior)
+    ptr = K.indptr
+    adjacent = K.indices
+    interior = np.arange(K.shape[0] - len(Γ), dtype=np.int32)
+    order = ordering.nested_dissection(ptr, adjacent, interior)
     agree(np.array_equal(np.sort(order), interior))
     check(*grid((7, 6, 5), 3), 3)
     one_way = adjacent.copy()
-    one_way[ptr[0] : ptr[1]] = 0  # the first node has no neighbours, though it is one of theirs
-    agree(np.array_equal(np.sort(fronts._order(ptr, one_way, interior)), interior))
+    one_way[ptr[0] : ptr[1]] = 0  # edges to the first node, but none from it
+    agree(np.array_equal(np.sort(ordering.nested_dissection(ptr, one_way, interior)), interior))
     if found and not metis:
-        monkeypatch.setattr(fronts, "function", lambda *_: lambda *_: -3)  # out of memory
-        agree(np.array_equal(fronts._order(ptr, adjacent, interior), order))
+        monkeypatch.setattr(ordering, "c_function", lambda *_: lambda *_: -3)  # out of memory
+        agree(np.array_equal(ordering.nested_dissection(ptr, adjacent, interior), order))
 
 
 def test_metis_saves_flops(monkeypatch):
-    """Its separators are smaller: on a cube the fronts take fewer flops than those of PETSc."""
-    if fronts.function("METIS_NodeND", (ctypes.c_void_p,) * 7) is None:
+    """On a cube, METIS finds smaller separators than PETSc: a factorisation takes fewer flops."""
+    if ordering.c_function("METIS_NodeND", (ctypes.c_void_p,) * 7) is None:
         pytest.skip("PETSc is not linked with METIS")
     K, Γ = grid((12, 9, 9), 3)
     dissected = analysed(K, Γ, 3).flops
-    monkeypatch.setattr(fronts, "_dissect", lambda *_: None)
+    monkeypatch.setattr(ordering, "_metis_order", lambda *_: None)
     agree(dissected < analysed(K, Γ, 3).flops)
 
 
 def test_interior_in_pieces_none_and_all():
-    """Γ through the middle, no interior, no interface, nothing at all."""
+    """An interface that cuts the interior in two, no interior, no interface, no dofs."""
     K, _ = grid((9, 4, 4), 3)
     check(K, np.arange(4 * 48, 5 * 48, dtype=np.int32), 3)
     check(K, np.arange(K.shape[0], dtype=np.int32), 3)
@@ -146,7 +152,7 @@ def test_interior_in_pieces_none_and_all():
 
 
 def test_random_patterns():
-    """Any symmetric pattern, also one whose blocks are not full."""
+    """Symmetric patterns at random, in which blocks are not full."""
     rng = np.random.default_rng(5)
     for m in range(3, 80, 7):
         bs = 1 + m % 3
@@ -164,24 +170,26 @@ def with_entries(K, i, j):
     return scipy.sparse.csr_array(K + more)
 
 
-def test_new_pattern_is_noticed():
-    """Entries outside of the fronts are refused, whatever couples them."""
+def test_entries_outside_of_the_fronts_raise():
+    """Entries that happen to fit into the fronts are part of the factor; others raise."""
     K, Γ = grid((12, 5, 4), 1)
-    fronts, refused = analysed(K, Γ, 1), 0
+    fronts = analysed(K, Γ, 1)
+    refused = 0
     Y = np.ones(len(fronts.ranks))
     new = [(i, j) for i in range(0, 120, 7) for j in range(i + 60, 220, 11)]
     for i, j in new:
         try:
             factor, _ = factored(fronts, with_entries(K, i, j))
         except FactorError as error:
-            refused += "pattern of the matrix has changed" in str(error)
+            if "pattern of the matrix has changed" in str(error):
+                refused += 1
         else:
             equal(parts(with_entries(K, i, j), Γ)[0] @ factor.solve(Y), Y, 1e-12)
     agree(refused > len(new) // 2)
 
 
-def test_entries_that_couple_subdomains_are_refused():
-    """As when the pattern changes between the analysis and a factorisation, also out of range."""
+def test_entries_that_couple_subdomains_raise():
+    """Also columns out of range, and a matrix of another size."""
     K, Γ = grid((5, 4), 3)
     n = K.shape[0]
     both = scipy.sparse.csr_array(scipy.sparse.block_array([[K, None], [None, K]]))
@@ -198,14 +206,14 @@ def test_entries_that_couple_subdomains_are_refused():
             indptr, indices, values = arrays(both)
             indices[-1] = column
             with raises(FactorError, "pattern of the matrix has changed"):
-                fronts.factor(Rows(indptr, indices, values), np.empty(fronts.work))
+                fronts.factor(Rows(indptr, indices, values), WorkSpace())
         with raises(FactorError, "pattern of the matrix has changed"):
             factored(fronts, K)
 
 
 @pytest.mark.parametrize("wrong", ["negative", "zero", "nan"])
 def test_not_definite(wrong):
-    """A pivot that is not positive ends the factorisation, wherever it is met."""
+    """A first, middle or last pivot that is not positive ends the factorisation."""
     K, Γ = grid((6, 5, 4), 3)
     row, column = K.nonzero()
     for dof in (0, 100, 290):

@@ -1,0 +1,225 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Cells that are inside out, or change their volume unevenly, between the points of a quadrature.
+
+Newton's method keeps det F positive at the points of the quadrature only. An accurate displacement
+may preserve the mean volume of every cell and still fold over itself inside a cell. Stresses there
+have no meaning.
+
+The remedies were measured (docs/results/distorted_cells.md): elements of second order, except at
+the rim of a clamp, where F is singular for any element and mesh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from mpi4py import MPI
+
+import numpy as np
+import numpy.typing as npt
+
+import dolfinx
+
+from dolfinx_feti.diagnosis.advice import Advice
+from dolfinx_feti.fem.cell_samples import CellValues
+from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.runtime.collective import bounding_box, total_of
+
+__all__ = ["CellVolumes"]
+
+#: Smallest det F over its mean in the cell, below which the cell is distorted. Away from clamps,
+#: cells of Q2–P1disc stay above 0.9, those of P2–P0 above 0.6 (docs/results/distorted_cells.md): a
+#: larger ratio would warn of these, half of it only of cells that are about to turn inside out.
+LEAST_RATIO = 0.5
+
+#: Largest det F over its mean in the cell, above which the cell is distorted; the same cells stay
+#: below 1.2 and 1.5.
+GREATEST_RATIO = 2.0
+
+#: Share of the cells that may be distorted without a warning: a few cells at a corner of a load or
+#: a support are distorted on any mesh. A rim that bends has one in fifty.
+SHARE_DISTORTED = 1e-3
+
+CLAMPED = (
+    "At a clamp det F degenerates with any element and on any mesh: hold the body by soft springs, "
+    "let it slide, or evaluate no stress in the cells beside the clamp."
+)
+
+SECOND_ORDER = (
+    "Take elements of second order, which keep the volume inside of the cells: Q2 with DPC 1, or "
+    "P2 with bubbles and a linear pressure on a mesh as fine (docs: Which elements?)."
+)
+
+REFINE = (
+    "Refine the mesh there, and spread loads that end or change abruptly; a higher quadrature "
+    "degree does not help."
+)
+
+Point: TypeAlias = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CellVolumes:
+    """Volume changes of the cells in a state. The same on all processes.
+
+    The points are those of the quadrature, vertices, and midpoints of edges, faces and cells. A
+    cell is *inverted*, inside out, if det F is not positive at one of them. It is *distorted* if it
+    is inverted, or if det F is below half or above twice its mean over the cell at one of them.
+
+    Attributes:
+        name: The quantity: ``det F``, or ``volume_ratio`` if the user gave that argument.
+        least: Its smallest value.
+        greatest: Its largest value.
+        cells: Number of cells.
+        inverted: Number of inverted cells.
+        distorted: Number of distorted cells; of inverted ones if the ``volume_ratio`` is not a
+            determinant, so that only its sign has a meaning.
+        clamped: Number of bad cells with a node whose whole displacement is prescribed. Bad cells
+            are the inverted ones, or the distorted ones if none is inverted.
+        worst: Midpoint of the cell with the smallest value, in the mesh's unit of length.
+        low: Lower corner of the box around the midpoints of the bad cells; empty without any.
+        high: Upper corner of that box.
+    """
+
+    name: str
+    least: float
+    greatest: float
+    cells: int
+    inverted: int
+    distorted: int
+    clamped: int
+    worst: Point
+    low: Point
+    high: Point
+
+    @property
+    def share_distorted(self) -> float:
+        """Share of the cells that are distorted."""
+        return self.distorted / max(1, self.cells)
+
+    @property
+    def is_sound(self) -> bool:
+        """True if no cell is inverted and at most one in a thousand is distorted."""
+        return self.inverted == 0 and self.share_distorted <= SHARE_DISTORTED
+
+    @property
+    def bad(self) -> int:
+        """Number of inverted cells, or of distorted ones where none is inverted."""
+        return self.inverted or self.distorted
+
+    def __str__(self) -> str:
+        """Return the range of det F, how many cells are bad, and where they are."""
+        text = f"{self.name} is {self.least:.3g} to {self.greatest:.3g} in {self.cells} cells"
+        if self.inverted:
+            text += f", and not positive in {self.inverted} cells, which are inside out"
+        elif self.distorted:
+            text += (
+                f", and below {LEAST_RATIO:g} or above {GREATEST_RATIO:g} times its mean in "
+                f"{self.distorted} cells"
+            )
+        if self.bad == 1:
+            text += f", at {_place(self.low)}"
+        elif self.bad:
+            where = f"{_place(self.low)} and {_place(self.high)}"
+            text += f", the worst at {_place(self.worst)} and all between {where}"
+        return text
+
+
+def summarise_volumes(
+    values: CellValues,
+    mesh: dolfinx.mesh.Mesh,
+    *,
+    name: str,
+    has_size: bool,
+    clamped: npt.NDArray[np.bool_],
+) -> CellVolumes:
+    """Summarise the volume ratios of all cells of a mesh. Collective.
+
+    Args:
+        values: Those of the owned cells.
+        mesh: The mesh.
+        name: What they are.
+        has_size: Whether their size has a meaning, or only their sign.
+        clamped: Whether an owned cell has a node whose whole displacement is prescribed,
+            (n_cells,).
+    """
+    comm = mesh.comm
+    with np.errstate(invalid="ignore"):
+        inverted = ~(values.minimum > 0.0)  # NaN, too
+        distorted = inverted.copy()
+        if has_size:
+            distorted |= ~(values.minimum >= LEAST_RATIO * values.mean)
+            distorted |= ~(values.maximum <= GREATEST_RATIO * values.mean)
+    n_inverted = int(comm.allreduce(int(inverted.sum())))
+    bad = inverted if n_inverted else distorted
+    counts = [len(bad), distorted.sum(), (bad & clamped).sum()]
+    n_cells, n_distorted, n_clamped = map(int, total_of(np.array(counts, dtype=float), comm))
+    low: Point = ()
+    high: Point = ()
+    if n_inverted or n_distorted:
+        low, high = (
+            _point(x, mesh) for x in bounding_box(_midpoints(mesh, np.flatnonzero(bad)), comm)
+        )
+    least = np.where(np.isfinite(values.minimum), values.minimum, -np.inf)
+    own_worst = _midpoints(mesh, np.argsort(least)[:1])
+    least_here = float(least.min(initial=np.inf))
+    found = comm.allgather((least_here, [_point(x, mesh) for x in own_worst]))
+    least_of_all, places = min(found, key=lambda pair: pair[0])
+    greatest = np.where(np.isfinite(values.maximum), values.maximum, np.inf)
+    return CellVolumes(
+        name=name,
+        least=least_of_all,
+        greatest=comm.allreduce(float(greatest.max(initial=-np.inf)), op=MPI.MAX),
+        cells=n_cells,
+        inverted=n_inverted,
+        distorted=n_distorted,
+        clamped=n_clamped,
+        worst=places[0] if places else (),
+        low=low,
+        high=high,
+    )
+
+
+def advise_on_volumes(volumes: CellVolumes, *, has_constant_pressure: bool) -> list[Advice]:
+    """Return advice on cells that are inverted or distorted; none if the state is sound.
+
+    Args:
+        volumes: The volumes of the cells.
+        has_constant_pressure: Whether a condensed field that is constant in each cell ties the
+            volume of the cells, as in P2–P0.
+    """
+    if volumes.is_sound:
+        return []
+    what = f"cells where {volumes.name} is not positive"
+    if not volumes.inverted:
+        what = f"cells where {volumes.name} is far from its mean"
+    advice = []
+    if volumes.clamped:
+        advice.append(Advice(CLAMPED, f"{what}, at a clamp", volumes.clamped, 0))
+    elsewhere = volumes.bad - volumes.clamped
+    if elsewhere:
+        text = SECOND_ORDER if has_constant_pressure else REFINE
+        advice.append(Advice(text, what, elsewhere, 0))
+    return advice
+
+
+def _midpoints(mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[Any]) -> Array:
+    """Return the midpoints of owned cells, (cells, 3)."""
+    if not len(cells):
+        return np.zeros((0, 3))
+    dim = mesh.topology.dim
+    return np.asarray(dolfinx.mesh.compute_midpoints(mesh, dim, cells.astype(np.int32)))
+
+
+def _point(x: Array, mesh: dolfinx.mesh.Mesh) -> Point:
+    """Return the coordinates of a point that the mesh has."""
+    return tuple(map(float, x[: mesh.geometry.dim]))
+
+
+def _place(point: Sequence[float]) -> str:
+    """Return a point as text."""
+    return "(" + ", ".join(f"{x:.3g}" for x in point) + ")"

@@ -1,0 +1,159 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Cholesky factor of a whole coarse matrix by fronts, on one of the processes that share it.
+
+.. math:: N = U^⊤ U, \qquad (N_c, N_c)
+
+N couples the subdomains in dense sub-matrices: two blocks, each the coarse dofs of one subdomain,
+are coupled completely or not at all. The fronts eliminate one block after the other
+(``subdomain.factors.multifrontal``). The factor proves that N is positive definite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mpi4py import MPI
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_feti.feti.coarse.group import copy_of_rows
+from dolfinx_feti.feti.subdomain.factors.create import multifrontal_code
+from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, Fronts
+from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace
+from dolfinx_feti.feti.subsolver_options import DirectOptions
+from dolfinx_feti.runtime.arrays import Indices, Numbers, concatenate
+from dolfinx_feti.runtime.collective import allgather_rows, on_all
+from dolfinx_feti.runtime.lifetime import Lifetime
+from dolfinx_feti.runtime.petsc_library import rows_of
+from dolfinx_feti.torn.rounding import EPS
+
+#: Largest number of entries of a factor by fronts: 512 MiB for each computer. A larger one is
+#: shared by a group of processes. A bound of the memory, not tuned.
+MAX_FRONT_ENTRIES = 2**26
+
+
+def factor_by_fronts(
+    N: PETSc.Mat,
+    block_widths: Numbers,
+    sharing: MPI.Comm,
+    *,
+    options: DirectOptions,
+    zero_pivot: float | None,
+) -> FrontFactor | None:
+    """Factor a symmetric coarse matrix on the first process of those that share it. Collective.
+
+    Args:
+        N: Coarse matrix, (N_c, N_c). The rows of a block are consecutive, and all of them have the
+            same columns.
+        block_widths: Rows of each block of this process, with the sum n_c; zeros are allowed.
+        sharing: Processes that share a factor.
+        options: Options of the solver.
+        zero_pivot: Multiple of the norm of N up to which a pivot is zero; None for N_c times the
+            rounding unit.
+
+    Returns:
+        The factor, without entries on all but the first process of ``sharing``. None if N is not
+        positive definite, if its factor would be too large, or if the options name a solver.
+
+    Raises:
+        FactorError: The rows of some block have different columns; on all processes.
+        MemoryError: There is not enough memory; on all processes.
+        ValueError: The widths do not fit the rows of N; on all processes.
+    """
+    comm = N.comm.tompi4py()
+    on_all(lambda: _require_rows(N, block_widths), comm)
+    N_c = N.getSize()[0]
+    code = multifrontal_code(options, comm)
+    if code is None or N_c == 0:
+        return None
+    graph = _block_graph(N, block_widths)
+    rows = np.arange(N_c, dtype=np.int32)
+    on_interface = np.zeros(len(graph.widths), dtype=bool)  # N is factored as a whole
+    fronts = on_all(
+        lambda: Fronts(code, rows, rows, graph.widths, (graph.ptr, graph.adjacent), on_interface),
+        comm,
+    )
+    if fronts.factor_entries > MAX_FRONT_ENTRIES:
+        return None
+    relative_pivot = EPS * N_c if zero_pivot is None else zero_pivot
+    min_pivot = relative_pivot * N.norm(PETSc.NormType.INFINITY)
+    has_factor = sharing.rank == 0
+    with Lifetime() as owned:
+        matrix = owned.own(copy_of_rows(N, slice(0, N_c if has_factor else 0)))
+
+        def factor() -> FrontFactor | None:
+            if has_factor:
+                return _definite_factor(fronts, matrix, min_pivot)
+            return FrontFactor(fronts, np.zeros(0))
+
+        front_factor = on_all(factor, comm)
+    is_definite = comm.allreduce(front_factor is not None, op=MPI.LAND)
+    return front_factor if is_definite else None
+
+
+def _definite_factor(fronts: Fronts, matrix: PETSc.Mat, min_pivot: float) -> FrontFactor | None:
+    """Factor a matrix; None if not all of its pivots are above a bound.
+
+    Args:
+        fronts: Fronts of the pattern of the matrix.
+        matrix: Sequential matrix, (N_c, N_c).
+        min_pivot: The bound.
+    """
+    with rows_of(matrix) as matrix_rows:
+        elimination = fronts.factor(matrix_rows, WorkSpace())
+    if elimination is None:
+        return None
+    factor = elimination.factor
+    return factor if factor.smallest_pivot() > min_pivot else None
+
+
+def _require_rows(N: PETSc.Mat, block_widths: Numbers) -> None:
+    """Raise a ValueError unless the blocks of this process have as many rows as N has here."""
+    n_c = N.getLocalSize()[0]
+    if block_widths.sum() != n_c:
+        raise ValueError(f"blocks have {block_widths.sum()} rows, but the coarse matrix {n_c}")
+
+
+@dataclass(frozen=True, slots=True)
+class _BlockGraph:
+    """Which blocks of all processes a coarse matrix couples; blocks without rows are left out.
+
+    Every process has all of it: a few numbers for each subdomain of all processes.
+
+    Attributes:
+        widths: Rows of each block, (blocks,).
+        ptr: Index of the first neighbour of each block, and the end, (blocks + 1,).
+        adjacent: Neighbours of each block, without itself.
+    """
+
+    widths: Indices
+    ptr: Indices
+    adjacent: Indices
+
+
+def _block_graph(N: PETSc.Mat, block_widths: Numbers) -> _BlockGraph:
+    """Read from the first row of each block which blocks it is coupled with. Collective.
+
+    Args:
+        N: Coarse matrix, (N_c, N_c).
+        block_widths: Rows of each block of this process.
+    """
+    comm = N.comm.tompi4py()
+    has_rows = block_widths > 0
+    first_row = N.getOwnershipRange()[0] + np.cumsum(block_widths) - block_widths
+    first_row = first_row[has_rows]
+    first_row_of_all = allgather_rows(first_row, comm)
+    neighbours = []
+    for row in first_row:
+        columns = N.getRow(row)[0]
+        coupled = np.unique(np.searchsorted(first_row_of_all, columns, side="right") - 1)
+        neighbours.append(coupled[first_row_of_all[coupled] != row])
+    counts = allgather_rows([len(blocks) for blocks in neighbours], comm)
+    return _BlockGraph(
+        widths=allgather_rows(block_widths[has_rows], comm).astype(np.int32),
+        ptr=np.cumsum(np.append(0, counts)).astype(np.int32),
+        adjacent=allgather_rows(concatenate(neighbours, np.int64), comm).astype(np.int32),
+    )

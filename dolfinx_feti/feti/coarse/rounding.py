@@ -1,0 +1,67 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Rounding errors of energies, with which a negative energy has to be compared.
+
+.. math:: |\mathrm{fl}(v^⊤ A\, v) - v^⊤ A\, v| \;\lesssim\; ε \sum_i \|S_i\|_F\, \|(T v)_i\|^2
+
+with the rounding unit ε, for a vector v on the assembled interface. A negative computed energy
+proves that A is indefinite only if it is below :data:`NEGATIVE_ENERGY_MARGIN` times this bound.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dolfinx_feti.feti.interface.copies import Copies
+from dolfinx_feti.feti.subdomain.failures import on_subdomains
+from dolfinx_feti.feti.subdomain.panels import Panels
+from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
+from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.runtime.collective import total
+from dolfinx_feti.torn.rounding import EPS
+
+#: Multiple of the bound below which an energy counts as negative. The norms in the bound come from
+#: one random vector each, and may be too small by a factor of a few. A margin, not tuned.
+NEGATIVE_ENERGY_MARGIN = 10.0
+
+
+def energy_rounding(copies: Copies, S: SchurOperator, v: Array) -> float:
+    """Return the bound of the rounding errors of vᵀ A v, ε Σ_i ‖S_i‖_F ‖v_i‖². Collective.
+
+    Args:
+        copies: Copies of the interface dofs.
+        S: Schur complements of the subdomains of this process.
+        v: Assembled vector by its copies, (n_Γ,).
+    """
+    norms = on_subdomains(lambda: _estimated_norms(S), copies.comm)
+    squares = [float(v[rows] @ v[rows]) for rows in copies.rows]
+    return EPS * total(float(np.dot(norms, squares)), copies.comm)
+
+
+def column_energy_rounding(S: SchurOperator, W: list[Panels]) -> list[Array]:
+    """Return each subdomain's part of the bound for its columns, ε ‖S_i‖_F ‖W_i e_j‖². Collective.
+
+    Args:
+        S: Schur complements of the subdomains of this process.
+        W: Coarse columns on the interface of each subdomain, (n_{Γ,i}, c_i).
+
+    Returns:
+        The bounds of each subdomain, (c_i,).
+    """
+    norms = on_subdomains(lambda: _estimated_norms(S), S.torn.comm)
+    return [EPS * norm * W_i.squares() for W_i, norm in zip(W, norms, strict=True)]
+
+
+def _estimated_norms(S: SchurOperator) -> list[float]:
+    """Return estimates of ‖S_i‖_F: the norm of S_i ω for a vector ω of normal random numbers.
+
+    E ‖S_i ω‖² = ‖S_i‖_F². The seed makes ω the same in each run, for any distribution of the
+    subdomains over processes.
+    """
+    norms = []
+    for S_i in S.blocks:
+        n_i = len(S_i.subdomain.interface)
+        ω = np.random.default_rng(n_i).standard_normal((n_i, 1))
+        norms.append(float(np.linalg.norm(S_i.multiply(ω))))
+    return norms

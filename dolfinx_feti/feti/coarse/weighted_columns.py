@@ -1,0 +1,119 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""M G of the dual formulation, stored as a dense matrix for each subdomain.
+
+.. math:: W_i = (B_D^⊤ G)_i, \quad X_i = (Y_i + Y_{Z,i} Y_{Z,i}^⊤)\, W_i, \qquad
+          M G\, s = B_D\, X s, \quad G^⊤ M\, r = X^⊤ B_D^⊤ r, \quad
+          G^⊤ M\, G = \sum_i C_i^⊤ (W_i^⊤ X_i)\, C_i
+
+on the interface of each subdomain, (n_{Γ,i}, c_i), with its own columns and those of its neighbours
+(``basis``). :math:`Y_i` is that of the preconditioner, θI, K_i or S_i, and
+:math:`Y_{Z,i} Y_{Z,i}^⊤` its stabilisation (``preconditioners.base``). As a sparse matrix, M G
+would have more entries than all X_i together: a multiplier couples two subdomains and all their
+neighbours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_feti.feti.coarse.assembly import CoarseAssembler
+from dolfinx_feti.feti.coarse.basis import jump_columns
+from dolfinx_feti.feti.coarse.dofmap import CoarseDofMap
+from dolfinx_feti.feti.interface.copies import Copies
+from dolfinx_feti.feti.preconditioners.base import Preconditioner
+from dolfinx_feti.feti.subdomain.failures import on_subdomains
+from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
+from dolfinx_feti.runtime.arrays import Array, concatenate
+from dolfinx_feti.runtime.lifetime import Lifetime
+
+
+class WeightedColumns:
+    """M G; created by :func:`compute_weighted_columns`.
+
+    Attributes:
+        X: :math:`X_i` of each subdomain, (n_{Γ,i}, c_i).
+    """
+
+    def __init__(
+        self,
+        preconditioner: Preconditioner,
+        copies: Copies,
+        dofmap: CoarseDofMap,
+        X: Sequence[Array],
+    ) -> None:
+        """Own copies and dof map: :meth:`destroy` frees them.
+
+        Args:
+            preconditioner: M, with B_D; it outlives this object.
+            copies: Copies of the interface dofs.
+            dofmap: Coarse dofs of each subdomain.
+            X: X_i of each subdomain, (n_{Γ,i}, c_i).
+        """
+        self.X = X
+        self._M = preconditioner
+        self._copies = copies
+        self._dofmap = dofmap
+
+    def multiply(self, s: Array) -> Array:
+        """Return M G s, (n_c,) → (m,). Collective."""
+        torn_s = self._dofmap.scatter_forward(s)
+        t = np.zeros(self._M.operator.torn.n)
+        subdomains = zip(self.X, self._dofmap.rows, strict=True)
+        t[self._copies.dofs] = concatenate([X_i @ torn_s[dofs] for X_i, dofs in subdomains])  # X s
+        return self._M.B_D @ t  # B_D X s
+
+    def multiply_transposed(self, r: Array) -> Array:
+        """Return Gᵀ M r, (m,) → (n_c,). Collective."""
+        w = (self._M.B_D.T @ r)[self._copies.dofs]  # w = B_Dᵀ r
+        subdomains = zip(self.X, self._copies.rows, strict=True)
+        torn_e = concatenate([X_i.T @ w[rows] for X_i, rows in subdomains])
+        return self._dofmap.scatter_reverse(torn_e)  # Xᵀ w
+
+    def destroy(self) -> None:
+        """Free copies and dof map."""
+        self._dofmap.destroy()
+        self._copies.destroy()
+
+
+def compute_weighted_columns(
+    preconditioner: Preconditioner, delta: Array, inverse: GeneralizedInverse
+) -> tuple[WeightedColumns, PETSc.Mat]:
+    """Compute M G and Gᵀ M G, in one pass over the subdomains. Collective.
+
+    Args:
+        preconditioner: M, with B_D.
+        delta: Weight δ of every torn dof, (n,).
+        inverse: K⁺, with E of each subdomain.
+
+    Returns:
+        M G, and Gᵀ M G, (N_c, N_c); the caller destroys both.
+
+    Raises:
+        SetUpError: A product failed on some subdomain; on all processes.
+    """
+    operator = preconditioner.operator
+    comm = operator.torn.comm
+    with Lifetime() as owned:
+        copies = owned.own(Copies(operator.torn, operator.interfaces, delta))
+        E = inverse.E_on_interface(comm)
+        basis = jump_columns(copies, E)
+        dofmap = owned.own(CoarseDofMap(basis, [E_i.shape[1] for E_i in E], comm))
+        assembler = CoarseAssembler(dofmap)
+        X: list[Array] = []
+
+        def compute() -> None:
+            for i, W_i in enumerate(basis.W):
+                X_i = preconditioner.multiply_stabilised(i, W_i)  # (Y_i + Y_Z Y_Zᵀ) W_i
+                X.append(X_i)
+                assembler.add(i, W_i.overlap(X_i))  # W_iᵀ X_i
+
+        on_subdomains(compute, comm)
+        galerkin_matrix = assembler.assemble()  # Gᵀ M G
+        owned.release()  # WeightedColumns takes over copies and dof map
+    return WeightedColumns(preconditioner, copies, dofmap, X), galerkin_matrix

@@ -1,0 +1,46 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Dense blocks of all subdomains as one sparse matrix: block-diagonal, or one below the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+import scipy.sparse
+
+from dolfinx_feti.runtime.arrays import Array, Indices, concatenate
+from dolfinx_feti.torn.matrix import Torn
+
+
+def block_diagonal(blocks: Sequence[Array]) -> scipy.sparse.csr_array:
+    """Return dense blocks, (r_i, c_i), as the diagonal of a sparse matrix; zeros are stored."""
+    # The empty block makes the result a sparse array, also where there is no other.
+    return scipy.sparse.block_diag([*blocks, scipy.sparse.coo_array((0, 0))], format="csr")
+
+
+def block_columns(torn: Torn, blocks: Sequence[tuple[Indices, Array]]) -> PETSc.Mat:
+    """Create a matrix with consecutive columns for each block, (Σ n, Σ c_i). Collective.
+
+    Args:
+        torn: The torn matrix.
+        blocks: Torn dofs of each block of this process, (r_i,), and the values on them, (r_i, c_i).
+            The dofs of different blocks are disjoint. Rows of other dofs are empty.
+
+    Returns:
+        The matrix, with rows for the torn dofs of all processes; the caller destroys it.
+    """
+    local = block_diagonal([values for _, values in blocks]).tocoo()
+    row = concatenate([rows for rows, _ in blocks], np.int32)[local.row]
+    size = local.shape[1]
+    start = torn.comm.scan(size) - size
+    columns = scipy.sparse.csr_array((local.data, (row, local.col)), shape=(torn.n, size))
+    csr = (
+        columns.indptr.astype(PETSc.IntType),
+        (columns.indices + start).astype(PETSc.IntType),
+        columns.data,
+    )
+    return PETSc.Mat().createAIJ(((torn.n, None), (size, None)), csr=csr, comm=torn.A.comm)

@@ -1,0 +1,109 @@
+// Copyright (C) 2026 the dolfinx_feti authors
+//
+// SPDX-License-Identifier: LGPL-3.0-or-later
+//
+// Interface between multifrontal.py, which reads this file, and multifrontal.c.
+//
+// Shapes: n dofs of all subdomains of a process; n_i dofs of one subdomain, n_I of them in its
+// interior, n_Γ on its interface; m nodes of its graph, groups of consecutive dofs that are
+// eliminated together. Dense matrices are stored column by column. The rank of a dof is its place
+// in the order of elimination; the dofs of Γ have the last n_Γ ranks.
+//
+// No function keeps a pointer that it is passed. cffi parses this file, so that it has no
+// directives of the preprocessor: multifrontal.c includes stdint.h first.
+
+enum { DONE, NO_MEMORY, TOO_LARGE, INVALID, NOT_DEFINITE, NEW_PATTERN };
+
+// The graph of the matrix of a subdomain, and the order in which its interior is eliminated.
+typedef struct {
+    int nodes;           // m
+    const int *size;     // dofs of each node, (m)
+    const int *ptr;      // place of the first neighbour of each node, (m + 1)
+    const int *adjacent; // neighbours of all nodes, (ptr[m])
+    int interior_nodes;  // number of nodes of the interior, m_I
+    const int *order;    // nodes of the interior, the first to be eliminated first, (m_I)
+} subdomain_graph;
+
+// The matrix of all subdomains of a process by compressed rows, (n, n), and the rows of one.
+typedef struct {
+    int n;                  // order of the matrix
+    const int *indptr;      // place of the first entry of each row, (n + 1)
+    const int *indices;     // column of each entry, (indptr[n])
+    const double *values;   // (indptr[n])
+    const int *rows;        // rows of the subdomain, ascending, (n_i)
+    const int *local_index; // place of each row among those of its subdomain, or negative, (n)
+} process_matrix;
+
+typedef struct front front; // of multifrontal.c
+
+// The fronts of a graph, each of which passes its update matrix to its parent. They serve all
+// matrices of that pattern.
+typedef struct {
+    int n_i;                // dofs
+    int n_I;                // dofs of the interior
+    int front_count;        // number of fronts
+    int max_update_rows;    // largest number of update rows of a front
+    int max_pivots;         // largest number of pivots of a front
+    int last_front_rank;    // rank of the first pivot of the last front
+    int *rank_of_dof;       // (n_i)
+    int *dof_of_rank;       // (n_i)
+    int *update_ranks;      // ranks of the update rows of all fronts, ascending in each
+    front *fronts;          // children before parents, and a front that marks the end,
+                            // (front_count + 1)
+    int64_t factor_entries; // entries of the factor of K_II
+    int64_t work_entries;   // entries of the work space of a factorisation
+    double flops;           // operations of a factorisation
+} assembly_tree;
+
+// What a factorisation writes.
+typedef struct {
+    double *factor; // U of each front, packed, then its W in the interior, (factor_entries)
+    double *schur;  // S, its lower triangle packed, zero on entry, (n_Γ (n_Γ + 1) / 2)
+    double *work;   // (work_entries)
+} factor_storage;
+
+// Routines of BLAS and LAPACK in double precision, with the arguments of Fortran.
+typedef struct {
+    void (*potrf)(char *, int *, double *, int *, int *);
+    void (*trtri)(char *, char *, int *, double *, int *, int *);
+    void (*trsm)(char *, char *, char *, char *, int *, int *, double *, double *, int *, double *,
+                 int *);
+    void (*trmm)(char *, char *, char *, char *, int *, int *, double *, double *, int *, double *,
+                 int *);
+    void (*syrk)(char *, char *, int *, int *, double *, double *, int *, double *, double *,
+                 int *);
+    void (*gemm)(char *, char *, int *, int *, int *, double *, double *, int *, double *, int *,
+                 double *, double *, int *);
+    void (*tpsv)(char *, char *, char *, int *, double *, double *, int *);
+    void (*gemv)(char *, int *, int *, double *, double *, int *, double *, int *, double *,
+                 double *, int *);
+} dense_routines;
+
+// Find the fronts of a graph.
+//
+// result: the fronts, which multifrontal_free frees; NULL on failure.
+// Returns DONE; NO_MEMORY; TOO_LARGE if numbers of dofs exceed 32 bits or numbers of bytes 64;
+// INVALID for a graph or an order that is none.
+int multifrontal_analyse(const subdomain_graph *graph, assembly_tree **result);
+
+// Factor K_II and form S for one matrix.
+//
+// addend_on_last: added to K_II on the pivots of the last front, (p, p); NULL for none.
+// Returns DONE; NO_MEMORY; NOT_DEFINITE; or NEW_PATTERN for an entry of K outside of the fronts.
+// After a failure the contents of the storage are arbitrary.
+int multifrontal_factor(const assembly_tree *tree, const process_matrix *K,
+                        const double *addend_on_last, const factor_storage *storage,
+                        const dense_routines *dense);
+
+// Y = K_II⁻¹ Y for r columns.
+//
+// factor: from multifrontal_factor, (factor_entries). Y: (n_I, r), rows numbered by ranks.
+// work: (max_update_rows r), and at least (max_pivots²) if r > 1.
+void multifrontal_solve(const assembly_tree *tree, const double *factor, int r, double *Y,
+                        double *work, const dense_routines *dense);
+
+// Return the smallest square of a diagonal entry of U; infinity if there is none.
+double multifrontal_smallest_pivot(const assembly_tree *tree, const double *factor);
+
+// Free what multifrontal_analyse returned.
+void multifrontal_free(assembly_tree *tree);

@@ -1,0 +1,94 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Errors of work on a subdomain: they get its number, and are raised on all processes.
+
+Work on a subdomain may fail on one process alone. :class:`NumberedErrors` adds the number of the
+subdomain to the error; :func:`on_subdomains` raises it on all processes, with a remedy. A mistake
+in the program, such as a ``TypeError``, is not changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import TypeVar
+
+from mpi4py import MPI
+
+from dolfinx_feti.errors import FactorError, SetUpError, SingularBlockError, SingularError
+from dolfinx_feti.runtime.collective import error_message, on_all
+
+T = TypeVar("T")
+
+#: Mistakes in the program, which no other data or options avoid: they are raised unchanged.
+PROGRAM_ERRORS = (AssertionError, AttributeError, LookupError, NameError, TypeError)
+
+
+class RemediedFactorError(FactorError):
+    """A block could not be factored; the message says what to do."""
+
+
+class NumberedErrors:
+    """Context that adds the number of a subdomain to the errors of the work inside.
+
+    A ``FactorError`` or ``MemoryError`` keeps its class, with a new message; attributes are lost.
+    Any other error of the data, such as one of LAPACK, becomes a ``FactorError``.
+
+    Args:
+        subdomain: Number of the subdomain over all processes.
+    """
+
+    # Not a contextlib.contextmanager: a generator would leave a reference cycle through the
+    # traceback, which keeps PETSc objects alive until Python collects garbage.
+
+    def __init__(self, subdomain: int) -> None:
+        self._subdomain = subdomain
+
+    def __enter__(self) -> None:
+        """Enter the context."""
+
+    def __exit__(
+        self,
+        _kind: type[BaseException] | None,
+        error: BaseException | None,
+        _traceback: TracebackType | None,
+    ) -> None:
+        """Raise an error of the work with the number of the subdomain."""
+        if not isinstance(error, Exception) or isinstance(error, PROGRAM_ERRORS):
+            return
+        kind: type[Exception] = FactorError
+        if isinstance(error, FactorError | MemoryError):
+            kind = type(error)
+        name = "" if isinstance(error, FactorError) else f"{type(error).__name__}: "
+        raise kind(f"subdomain {self._subdomain}: {name}{error_message(error)}") from error
+
+
+def on_subdomains(work: Callable[[], T], comm: MPI.Comm) -> T:
+    """Do work on the subdomains of each process; raise on all if it fails on one. Collective.
+
+    After the errors of :func:`on_all` it adds a remedy, and changes the class of the error.
+
+    Args:
+        work: Not collective; its errors have the number of the subdomain (:class:`NumberedErrors`).
+        comm: The processes.
+
+    Returns:
+        The result of this process.
+
+    Raises:
+        SetUpError: With the error of the first process where the work failed; a SingularError if it
+            is a SingularBlockError.
+    """
+    try:
+        return on_all(work, comm)
+    except PROGRAM_ERRORS:
+        raise
+    except Exception as error:
+        remedy = ": check coefficients and supports, or take other subdomains"
+        if isinstance(error, MemoryError):
+            remedy = ": take more processes, or smaller subdomains"
+        if isinstance(error, RemediedFactorError):
+            remedy = ""
+        kind = SingularError if isinstance(error, SingularBlockError) else SetUpError
+        raise kind(f"Work on a subdomain failed ({error_message(error)}){remedy}.") from error

@@ -1,0 +1,84 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""Detection of the modes without energy of one subdomain: the procedure, and its tolerances.
+
+A stiffness counts as zero on the scale of the absolute diagonal d of K_i, in the *equilibrated*
+matrix with a unit diagonal, and with orthonormal columns :math:`\tilde R` of :math:`d^{1/2} R`,
+
+.. math:: \tilde K = d^{-1/2} K d^{-1/2}, \qquad
+          \|(\tilde K + \tilde R \tilde R^⊤)\, \tilde y\| ≤ ε\, \|\tilde y\|,
+          \qquad y = d^{-1/2}\, \tilde y.
+
+1. *Candidates* (``modes.candidate_modes``): the near kernel of the assembled problem on the
+   subdomain. Combinations that vanish on its fixed dofs (:data:`MAX_NORM_ON_FIXED_DOFS`) are its
+   *rigid modes*. They join R even if K R ≠ 0.
+2. *Test* (``null_space.is_numerically_singular``): K_ρ, with the rigid modes in R, is factored. If
+   random vectors grow by more than ``max_growth`` of :class:`NullTolerances` in a solve, or a pivot
+   is zero, there may be further null vectors. A factor in single precision has passed a stricter
+   test, which measures the same growth (``scaled.ScaledMatrix.factor_for_preconditioner``).
+3. *Null vectors* (``null_space.null_space``): those with ε = ``max_singular_value`` join R. If
+   there are none, the matrix only is badly conditioned, and is used as it is. If K_ρ fails the test
+   again with them in R, an error is raised (``mode_search``).
+4. *Exactness* (``mode_search``): if the forces K R of rigid modes (:data:`MAX_RIGID_FORCE`) and of
+   null vectors (:data:`MAX_NULL_FORCE`) are rounding, E = R and D = 0 are used. Otherwise E and D
+   are computed, and no energy is lost.
+5. *Interior* (``interior``): steps 2 and 3 for K_II, without candidates. Its null vectors are null
+   vectors of the assembled matrix if they exert no force on the interface
+   (``interior.MAX_INTERFACE_FORCE``).
+
+If d spans many orders of magnitude, the matrix is scaled (``scaled``), to :math:`\bar d` times the
+equilibrated one. Then modes of nearly no energy count, too: :data:`NEARLY_NULL` in place of
+:data:`EXACTLY_NULL`. Columns that depend on each other are left out by ``orthonormal.RANK_RTOL``
+and ``orthonormal.MIN_SINE``.
+
+Another detection replaces steps 2 and 3 in two places: the methods ``is_singular`` and
+``null_vectors`` of ``scaled.ScaledMatrix``, and in ``interior`` the calls of
+``is_numerically_singular`` and ``null_space``. Two shortcuts precede step 2 in
+``mode_search``: a factor in single precision is not tested again, and if the factorisation stops at
+a zero pivot, step 3 follows at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+#: Norm of a mode on the fixed dofs, over that on all dofs of the subdomain, up to which it vanishes
+#: there: the square root of rounding. Modes of subdomains far from the origin agree in up to half
+#: of their digits, so that half of the digits of their combinations are rounding.
+MAX_NORM_ON_FIXED_DOFS = 1e-8
+
+#: ‖K R ω‖ of rigid modes with random weights ω, over ρ, the mean of the diagonal of K, up to which
+#: it is rounding of the assembly. A margin, not measured: above it E and D are computed, which is
+#: as accurate, and takes some solves.
+MAX_RIGID_FORCE = 1e-12
+
+#: ‖K̃ ỹ‖/‖ỹ‖ of a null vector up to which it is rounding, so that D = 0. Measured: up to 8e-15 for
+#: mechanisms and for single cells, which are below the bound; 2e-13 for an island in a void with
+#: 1e-12 of the stiffness, whose D has to be computed.
+MAX_NULL_FORCE = 3e-14
+
+
+@dataclass(frozen=True, slots=True)
+class NullTolerances:
+    """When a matrix K_ρ has null vectors that are not in R.
+
+    Attributes:
+        max_growth: Growth of random vectors in a solve with the equilibrated matrix, ‖K̃_ρ⁻¹ x‖/‖x‖,
+            up to which there are none. The growth is about the inverse of the smallest singular
+            value, divided by the square root of n_i.
+        max_singular_value: ε, the singular value of the equilibrated matrix up to which a singular
+            vector is a null vector.
+    """
+
+    max_growth: float
+    max_singular_value: float
+
+
+#: Null vectors to rounding. A solve with a regular block whose random vectors grow by 1e11 would
+#: lose 11 of 16 digits; rounding of a block of some 1000 dofs changes singular values by 1e-13.
+EXACTLY_NULL = NullTolerances(max_growth=1e11, max_singular_value=1e-12)
+
+#: Modes of nearly no stiffness, in a scaled matrix. At 1e8 a solve loses eight of sixteen digits.
+#: A fresh start on the true residual (``outer_loop``) recovers them.
+NEARLY_NULL = NullTolerances(max_growth=1e8, max_singular_value=1e-8)

@@ -1,0 +1,153 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The matrix of one subdomain that :math:`K^+` inverts.
+
+It is :math:`K_i` on the free dofs of the subdomain, or, if the interior is eliminated, :math:`S_i`
+on its interface (``schur.FormedSchurComplement``).
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_feti.feti.subdomain.analysis import Analysis, SubdomainAnalysis
+from dolfinx_feti.feti.subdomain.blocks import multiply_block
+from dolfinx_feti.feti.subdomain.factors.create import factor_sparse
+from dolfinx_feti.feti.subdomain.factors.petsc_solver import FactorOptions
+from dolfinx_feti.feti.subdomain.factors.protocol import Factor
+from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace
+from dolfinx_feti.feti.subdomain.subdomain import Subdomain
+from dolfinx_feti.runtime.arrays import Array, Indices
+from dolfinx_feti.torn.matrix import Torn
+
+
+class LocalMatrix(Protocol):
+    """K_i of one subdomain, (n_i, n_i), or S_i, (n_{Γ,i}, n_{Γ,i}).
+
+    Below it is called K, and the number of its rows n_i. It is valid as long as the entries of
+    ``torn.K`` are those that it was created with.
+    """
+
+    @property
+    def subdomain(self) -> Subdomain:
+        """The subdomain."""
+
+    @property
+    def dofs(self) -> Indices:
+        """Torn dofs of its rows, (n_i,)."""
+
+    @property
+    def diagonal(self) -> Array:
+        """Absolute diagonal of K_i on ``dofs``, even if the matrix is S_i, (n_i,).
+
+        It is the scale on which a stiffness counts as zero. The diagonal of S_i is no such scale:
+        an entry of it is zero if a mode without energy moves that dof, and no other dof of Γ.
+        """
+
+    def multiply(self, X: Array) -> Array:
+        """Return K X, (n_i, r)."""
+
+    def factor(
+        self, R: Array, rho: float, shift: Array | None = None, *, is_graded: bool = False
+    ) -> Factor:
+        """Factor K + ρ R Rᵀ + diag(shift), in double precision.
+
+        Args:
+            R: Columns, (n_i, k); orthonormal unless they are graded or there is a shift.
+            rho: The stiffness ρ.
+            shift: Entries that are added to the diagonal, (n_i,).
+            is_graded: Whether the norms of the rows of R span many orders of magnitude, which some
+                factorisations do not allow (``factors.create``).
+
+        Raises:
+            FactorError: There is no factor.
+        """
+
+    def factor_for_preconditioner(self, R: Array, rho: float) -> Factor:
+        """Factor K + ρ R Rᵀ as a preconditioner, in single precision if possible.
+
+        It is possible if K is S_i and the matrix is positive definite in single precision.
+        Otherwise the factor is that of :meth:`factor`.
+        """
+
+
+class SubdomainMatrix:
+    """K_i of one subdomain, sparse: a :class:`LocalMatrix`.
+
+    Attributes:
+        subdomain: The subdomain.
+        diagonal: Its absolute diagonal, (n_i,).
+    """
+
+    def __init__(
+        self,
+        K: PETSc.Mat,
+        analysed: SubdomainAnalysis,
+        options: FactorOptions,
+        diagonal: Array,
+        work: WorkSpace,
+    ) -> None:
+        """Refer to the block of one subdomain in K.
+
+        Args:
+            K: Local matrix of this process, (n, n).
+            analysed: The subdomain, and its symbolic factor.
+            options: How PETSc factors K_i, if it does.
+            diagonal: Absolute diagonal of K_i, (n_i,).
+            work: Work space of the factorisations; the subdomains share it.
+        """
+        self.subdomain = analysed.subdomain
+        self.diagonal = diagonal
+        self._symbolic = analysed.symbolic
+        self._K = K
+        self._options = options
+        self._work = work
+
+    @property
+    def dofs(self) -> Indices:
+        """Torn dofs of its rows, (n_i,)."""
+        return self.subdomain.free_dofs
+
+    def multiply(self, X: Array) -> Array:
+        """Return K_i X, (n_i, r)."""
+        return multiply_block(self._K, self.dofs, self.dofs, X)
+
+    def factor(
+        self, R: Array, rho: float, shift: Array | None = None, *, is_graded: bool = False
+    ) -> Factor:
+        """Factor K_i + ρ R Rᵀ + diag(shift); see :class:`LocalMatrix`."""
+        return factor_sparse(
+            self._K,
+            self.dofs,
+            self._options,
+            R,
+            rho,
+            shift,
+            symbolic=self._symbolic,
+            work=self._work,
+            is_graded=is_graded,
+        )
+
+    def factor_for_preconditioner(self, R: Array, rho: float) -> Factor:
+        """Factor K_i + ρ R Rᵀ in double precision: sparse factors have no other."""
+        return self.factor(R, rho)
+
+
+def create_subdomain_matrices(torn: Torn, analysis: Analysis) -> list[SubdomainMatrix]:
+    """Create K_i of each subdomain of this process.
+
+    Args:
+        torn: The torn matrix. The results refer to it, and are valid until its entries change.
+        analysis: The subdomains, with symbolic factors of K_i: the interior is kept.
+    """
+    diagonal = np.abs(torn.diagonal())
+    work = WorkSpace()
+    return [
+        SubdomainMatrix(torn.K, s, analysis.local_options, diagonal[s.subdomain.free_dofs], work)
+        for s in analysis.by_subdomain
+    ]

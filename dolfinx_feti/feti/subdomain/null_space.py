@@ -1,0 +1,174 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""The null vectors of a matrix besides given modes R, to a tolerance ε (docs/theory.md).
+
+.. math:: \|(\tilde K + \tilde R \tilde R^⊤)\, \tilde y\| ≤ ε\, \|\tilde y\|, \qquad
+          \tilde K = d^{-1/2} K d^{-1/2}, \quad y = d^{-1/2}\, \tilde y
+
+with the absolute diagonal d, and orthonormal columns :math:`\tilde R` of :math:`d^{1/2} R`.
+``kernel_detection`` describes how they are used, and has the tolerances. K is any matrix of one
+subdomain, (n_i, n_i). All singular vectors of a small matrix are computed; those of a large one are
+approximated by inverse iteration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dolfinx_feti.errors import FactorError
+from dolfinx_feti.feti.subdomain.factors.protocol import Factor
+from dolfinx_feti.feti.subdomain.kernel_detection import EXACTLY_NULL, NullTolerances
+from dolfinx_feti.runtime.arrays import Array, ColumnMap
+
+#: Random vectors whose growth is measured. A pivot that should vanish is about 1e-15 of the
+#: diagonal by rounding, so that the growth falls short of 1e11 only if less than 1e-4 of a vector
+#: is along the null vector: with 1000 dofs the probability is 0.3 % for one vector, and 1e-5 for
+#: two.
+PROBES = 2
+
+#: Dofs of a block up to which all singular vectors are computed. With 600 that takes about one
+#: second, for singular blocks only. Tests check that either method finds the same null vectors.
+MAX_DOFS_FOR_SVD = 600
+
+#: Share of the diagonal that inverse iteration adds to the block, as a singular block has no
+#: factor: above the rounding of 1e-12 that a null vector has, and below the stiffness of soft
+#: modes.
+SHIFT = 1e-9
+
+#: Vectors of inverse iteration at first; they are doubled until they contain more than the null
+#: space. A cell of P2–P0 has three null vectors.
+FIRST_VECTORS = 8
+
+#: Steps of inverse iteration. Each multiplies the share of a vector with the singular value σ by
+#: SHIFT / (SHIFT + σ): five leave 1e-15 of a mode with σ = 1e-6.
+STEPS = 5
+
+
+def is_numerically_singular(
+    factor: Factor, d: Array, tolerances: NullTolerances = EXACTLY_NULL
+) -> bool:
+    """Return True if random vectors grow by more than a bound in a solve, or a pivot is zero.
+
+    Args:
+        factor: Factor of a block.
+        d: Absolute diagonal of the block, (n_i,).
+        tolerances: The bound.
+    """
+    if len(d) == 0:
+        return False
+    if factor.inertia.zero_pivots:
+        return True
+    return not growth(factor, d) <= tolerances.max_growth  # true for NaN
+
+
+def growth(factor: Factor, d: Array) -> float:
+    """Return the growth of random vectors in a solve with an equilibrated block, ‖K̃⁻¹ x‖/‖x‖.
+
+    A block K and a scaled one, s⁻¹ K s⁻¹, have the same equilibrated block: either factor serves.
+
+    Args:
+        factor: Factor of the block K, not equilibrated.
+        d: Absolute diagonal of the block, (n_i,).
+    """
+    d = _positive(d)
+    X = np.random.default_rng(len(d)).standard_normal((len(d), PROBES))
+    root = np.sqrt(d)[:, None]
+    return float(np.linalg.norm(root * factor.solve(root * X)) / np.linalg.norm(X))
+
+
+def null_space(
+    multiply: ColumnMap,
+    factor_shifted: Callable[[Array, Array], Factor],
+    d: Array,
+    R: Array | None = None,
+    tolerances: NullTolerances = EXACTLY_NULL,
+) -> Array:
+    """Compute the null vectors of a block K besides given modes.
+
+    Args:
+        multiply: Returns K X, (n_i, r) → (n_i, r).
+        factor_shifted: Returns a factor of K + B Bᵀ + diag(σ), given B, (n_i, k), and σ, (n_i,);
+            it is destroyed here.
+        d: Absolute diagonal of K, (n_i,).
+        R: The given modes, (n_i, k); None if there are none.
+        tolerances: Singular value of the equilibrated block up to which a vector is a null vector.
+
+    Returns:
+        The null vectors d^−½ ỹ with orthonormal ỹ, (n_i, any number).
+
+    Raises:
+        FactorError: The shifted block has no factor, or K has NaN or Inf.
+    """
+    d = _positive(d)
+    n = len(d)
+    root = np.sqrt(d)[:, None]
+    R_tilde = np.linalg.qr((np.zeros((n, 0)) if R is None else R) * root)[0]
+
+    def multiply_equilibrated(X: Array) -> Array:
+        return multiply(X / root) / root + R_tilde @ (R_tilde.T @ X)  # (K̃ + R̃ R̃ᵀ) X
+
+    if n <= MAX_DOFS_FOR_SVD:
+        values, vectors = _singular_vectors(multiply_equilibrated(np.eye(n)))
+    else:
+        factor = factor_shifted(root * R_tilde, SHIFT * d)  # d^½ (K̃ + R̃ R̃ᵀ + SHIFT I) d^½
+
+        def solve_equilibrated(X: Array) -> Array:
+            return root * factor.solve(root * X)  # (K̃ + R̃ R̃ᵀ + SHIFT I)⁻¹ X
+
+        try:
+            values, vectors = _smallest_singular_vectors(
+                multiply_equilibrated, solve_equilibrated, n, tolerances.max_singular_value
+            )
+        finally:
+            factor.destroy()
+    return vectors[:, values <= tolerances.max_singular_value] / root
+
+
+def _smallest_singular_vectors(
+    multiply: ColumnMap, solve: ColumnMap, n: int, max_null_value: float
+) -> tuple[Array, Array]:
+    """Approximate the smallest singular values and right singular vectors by inverse iteration.
+
+    The null space is complete if one of the values is larger than those of null vectors. Otherwise
+    the iteration is repeated with twice as many vectors.
+
+    Args:
+        multiply: Applies the matrix to columns, (n_i, r) → (n_i, r).
+        solve: Applies the inverse of the matrix plus a small multiple of I.
+        n: Its size n_i.
+        max_null_value: Largest singular value of a null vector.
+
+    Returns:
+        Values, (r,), and vectors, (n_i, r), with the complete null space among them.
+    """
+    count = FIRST_VECTORS
+    while True:
+        X = np.random.default_rng(n).standard_normal((n, min(n, count)))
+        for _ in range(STEPS):
+            X = np.linalg.qr(solve(X))[0]
+        values, Y = _singular_vectors(multiply(X))
+        if count >= n or np.any(values > max_null_value):
+            return values, X @ Y
+        count *= 2
+
+
+def _singular_vectors(A: Array) -> tuple[Array, Array]:
+    """Return singular values, and right singular vectors in columns, of (n_i, r) → (r,), (r, r).
+
+    Raises:
+        FactorError: A has NaN or Inf.
+    """
+    if not np.isfinite(A).all():
+        raise FactorError(
+            "products with its matrix are NaN or Inf, so that its null vectors cannot be computed"
+        )
+    _, values, Vt = np.linalg.svd(A, full_matrices=False)
+    return values, Vt.T
+
+
+def _positive(d: Array) -> Array:
+    """Return a diagonal, (n_i,), with the mean in place of entries that are zero."""
+    return np.where(d > 0.0, d, d.mean() or 1.0)

@@ -1,0 +1,32 @@
+// Copyright (C) 2026 the dolfinx_feti authors
+//
+// SPDX-License-Identifier: LGPL-3.0-or-later
+//
+// Interface between panels.py, which reads this file, and panels.c.
+
+// Block-sparse columns W = (W_1, W_2, …), (n, c). Panel p has widths[p] columns, which are zero
+// outside of its rows, each row once.
+typedef struct {
+    int n;                // rows of W
+    int count;            // number of panels
+    const int *starts;    // place in `rows` of the first row of each panel, and end, (count + 1)
+    const int *rows;      // rows of all panels, (starts[count])
+    const int *widths;    // columns of each panel, (count)
+    const double *values; // of each panel (its rows, its columns), row by row
+} panels;
+
+// DGEMM of BLAS, with the arguments of Fortran.
+typedef void (*dgemm_routine)(char *, char *, int *, int *, int *, double *, double *, int *,
+                              double *, int *, double *, double *, int *);
+
+// Y = S W. S: (n, n), symmetric, all entries. Y: (n, c), column by column. work: (n²).
+void panels_product(const panels *W, const double *S, double *Y, double *work,
+                    dgemm_routine gemm);
+
+// E = Wᵀ Y. Y: (n, r), column by column. E: (c, r), row by row. work: (n r). If symmetric, E is
+// known to be symmetric (r = c): only the blocks on and below the diagonal are computed.
+void panels_overlap(const panels *W, int r, const double *Y, double *E, double *work,
+                    int symmetric, dgemm_routine gemm);
+
+// e = Y z with sums in double precision. Y: (c, n) in single precision, row by row. z: (n). e: (c).
+void rows_product(int c, int n, const float *Y, const double *z, double *e);

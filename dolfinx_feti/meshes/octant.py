@@ -1,0 +1,87 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""An octant of a thick sphere, of curved tetrahedra: prisms over a lattice of triangles.
+
+A triangle with corners (1, 0, 0), (0, 1, 0), (0, 0, 1) is divided evenly and projected to spheres.
+Each prism between two layers is cut into three tetrahedra, along diagonals from the corners with
+lower numbers. A straight mesh over the coordinates (x, y) of the triangle and the radius is created
+first; its vertices and midpoints of edges are then mapped to the spheres.
+"""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+
+import basix.ufl
+import dolfinx
+
+from dolfinx_feti.meshes.curved import curved
+from dolfinx_feti.meshes.surface import Indices, Points
+from dolfinx_feti.runtime.scotch import repeatable_partitions
+
+__all__ = ["create_octant"]
+
+
+def create_octant(
+    comm: MPI.Comm, divisions: int, layers: int, inner: float = 1.0, outer: float = 1.1
+) -> dolfinx.mesh.Mesh:
+    """Create the mesh of a hollow sphere's part with x, y, z ≥ 0, of second order.
+
+    Args:
+        comm: Communicator of the mesh.
+        divisions: Elements along an edge of the triangle.
+        layers: Elements through the wall.
+        inner: Inner radius [mm].
+        outer: Outer radius [mm].
+
+    Note:
+        Collective.
+    """
+    points: Points = np.zeros((0, 3))
+    cells: Indices = np.zeros((0, 4), dtype=np.int64)
+    if comm.rank == 0:
+        radii = np.linspace(inner, outer, layers + 1, dtype=np.float64)
+        points, cells = _prisms(divisions, layers, radii)
+    linear = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
+    with repeatable_partitions():
+        straight = dolfinx.mesh.create_mesh(comm, cells=cells, x=points, e=linear)
+    return curved(straight, _on_spheres)
+
+
+def _on_spheres(x: Points) -> Points:
+    """Return the positions on the spheres of points (x, y, radius) over the triangle, (n, 3)."""
+    rays = np.column_stack((x[:, 0], x[:, 1], 1.0 - x[:, 0] - x[:, 1]))
+    return np.asarray(x[:, 2:] * rays / np.linalg.norm(rays, axis=1)[:, None])
+
+
+def _prisms(divisions: int, layers: int, radii: Points) -> tuple[Points, Indices]:
+    """Return points (x, y, radius) over the triangle, (n, 3), and tetrahedra, (m, 4).
+
+    Args:
+        divisions: Elements along an edge of the triangle.
+        layers: Elements through the wall.
+        radii: Radius of each sheet of points, (layers + 1,).
+    """
+    lattice = [(i, j) for i in range(divisions + 1) for j in range(divisions + 1 - i)]
+    number = {node: k for k, node in enumerate(lattice)}
+    triangles = []
+    for i, j in lattice:
+        if i + j < divisions:
+            triangles.append((number[i, j], number[i + 1, j], number[i, j + 1]))
+    for i, j in lattice:
+        if i + j < divisions - 1:
+            triangles.append((number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]))
+    flat = np.array(lattice) / divisions
+    sheets = [np.column_stack((flat, np.full(len(flat), radius))) for radius in radii]
+    corners = np.sort(triangles, axis=1)
+    cells = []
+    for layer in range(layers):
+        a = corners + layer * len(flat)  # below
+        b = corners + (layer + 1) * len(flat)  # above
+        cells.append(np.column_stack((a, b[:, 2])))
+        cells.append(np.column_stack((a[:, :2], b[:, 1:])))
+        cells.append(np.column_stack((a[:, 0], b)))
+    return np.vstack(sheets), np.vstack(cells)

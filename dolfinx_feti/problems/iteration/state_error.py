@@ -1,0 +1,178 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+r"""When Newton's method has converged, by the estimated error of the state (docs/theory.md).
+
+.. math:: ΔU ≈ -M r(U), \qquad
+          η = \max_c \frac{\|ΔU_c\|}{(\|U_c\|^2 + \|U_c - U^0_c\|^2)^{1/2}}
+
+by one application of the preconditioner of the last tangent (``feti.accuracy`` has the components
+c and their sizes). It shows an error that a residual hides, which is small only in comparison with
+the forces of a penalty. Scalars s count likewise, each relative to its own size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from petsc4py import PETSc
+
+import numpy as np
+
+from dolfinx_feti.feti.converged_reason import LOGGED_ROUNDING_SHARE, MAX_ROUNDING_SHARE
+from dolfinx_feti.feti.solve_settings import LooseError
+from dolfinx_feti.problems.equations.system import System
+from dolfinx_feti.problems.history import NewtonStep
+from dolfinx_feti.problems.iteration.convergence import Verdict
+from dolfinx_feti.problems.iteration.iterate import Iterate, Start
+from dolfinx_feti.problems.solvers import relative_tolerance
+from dolfinx_feti.runtime.collective import warn
+
+Reason = PETSc.SNES.ConvergedReason
+
+#: Factor by which a step has to lower η for another one to follow. Rounding leaves about as much
+#: after each step. It is a choice, not measured.
+GAIN = 0.5
+
+#: Estimated error that a linear solve may leave of ΔU: the next step removes it. Between 1e-4 and
+#: 1e-2 the iterations of tubes and beams hardly differ; with 1e-8 they are a fifth more. With a
+#: stiff penalty each Newton step lowers the error of U by this factor only.
+LINEAR_ERROR = 1e-3
+
+#: Share of the tolerance of U that a linear solve may leave as error: a tenth of it disappears in
+#: the error of Newton's method. It is a choice, not measured.
+ERROR_SHARE = 0.1
+
+#: Multiple of the last floor of rounding below which the error is estimated although ‖r‖ does not
+#: end the solve. The floor of a state is known only with its tangent; that of the state before is
+#: taken for it, and ten allows for the change of the tangent in one step.
+FLOOR_MULTIPLE = 10.0
+
+_ROUNDED_ERROR = (
+    "Newton's method ends with an estimated error of {0:.0e} of u, above its tolerance of {1:.0e}: "
+    "a further step does not lower it, as rounding leaves as much. Lower a penalty, or scale the "
+    "unknowns alike."
+)
+
+
+class StateError:
+    """The estimated error of the iterates of one solve.
+
+    Attributes:
+        rtol: Tolerance of η.
+        estimate: η of the present iterate; nan if not measured.
+    """
+
+    def __init__(self, system: System, snes: PETSc.SNES, start: Start) -> None:
+        """Store the state that the solve begins with, U⁰.
+
+        Args:
+            system: The equations, at that state.
+            snes: The SNES, with a FETI KSP; its relative tolerance is that of η.
+            start: How the solve begins.
+        """
+        self.rtol = relative_tolerance(snes)
+        self.estimate = np.nan
+        self._system = system
+        self._ksp: PETSc.KSP = snes.getKSP()
+        self._origin = system.state.values()
+        self._has_first_tangent = start.tangent is not None
+        self._estimate_before = np.nan  # of the iterate before
+        #: Whether η could not be measured because no linear solve with scalars came before.
+        self._lacks_scalar_solve = False
+
+    @property
+    def is_too_large(self) -> bool:
+        """Whether η is known, and above its tolerance."""
+        return bool(self.estimate > self.rtol)
+
+    @property
+    def is_acceptable_as_rounding(self) -> bool:
+        """Whether η, above its tolerance, is no more than rounding may leave."""
+        return bool(self.estimate <= MAX_ROUNDING_SHARE)
+
+    @property
+    def needs_step(self) -> bool:
+        """Whether a step has to follow although ‖r‖ would let the solve end.
+
+        It has to if η is too large and the last step has lowered it. Otherwise rounding leaves the
+        rest.
+        """
+        if self._lacks_scalar_solve:
+            return True
+        return self.is_too_large and not self.estimate > GAIN * self._estimate_before
+
+    def measure(self, iterate: Iterate, verdict: Verdict, history: Sequence[NewtonStep]) -> None:
+        """Measure η if ‖r‖ is within the relative tolerance, or near rounding. Collective.
+
+        It is not measured if an absolute tolerance ends the solve. If the matrix holds no tangent,
+        or one with a shift, the present one is assembled into it; no step reuses a tangent then.
+
+        Args:
+            iterate: Present iterate.
+            verdict: Whether its ‖r‖ ends the solve.
+            history: Steps before it.
+        """
+        self._estimate_before = self.estimate
+        self.estimate = np.nan
+        self._lacks_scalar_solve = False
+        ends = verdict.reason == Reason.CONVERGED_FNORM_RELATIVE and verdict.is_within_tolerances
+        is_undecided = verdict.reason == Reason.ITERATING and _is_near_floor(iterate, history)
+        if iterate.norm == 0.0 or not (ends or is_undecided):
+            return
+        if self._lacks_tangent(history):
+            self._system.linearise(iterate.residual)
+        self.estimate = self._measured(iterate)
+        is_unknown = bool(np.isnan(self.estimate))
+        has_scalars = self._system.scalars.size > 0
+        self._lacks_scalar_solve = ends and is_unknown and not history and has_scalars
+
+    def target(self, iterate: Iterate) -> float:
+        """Return the ‖r‖ at which η is expected to meet its tolerance."""
+        return iterate.norm * self.rtol / self.estimate
+
+    def log(self) -> None:
+        """Log an error above its tolerance, if more than tiny rounding leaves it. Collective."""
+        if self.estimate > LOGGED_ROUNDING_SHARE:
+            warn(_ROUNDED_ERROR.format(self.estimate, self.rtol), self._system.comm)
+
+    def of_linear_solve(self) -> LooseError:
+        """Return the estimated error that the next linear solve may leave of ΔU."""
+        share = LINEAR_ERROR
+        if self.is_too_large:
+            share = min(LINEAR_ERROR, ERROR_SHARE * self.rtol / self.estimate)
+        return LooseError(share, ERROR_SHARE * self.rtol * self._system.state.values().u)
+
+    def _lacks_tangent(self, history: Sequence[NewtonStep]) -> bool:
+        """Return True if the matrix holds no tangent without a shift.
+
+        Before the first step, a KSP that was set up has the tangent of an earlier solve. Its
+        preconditioner is all that η needs.
+        """
+        if history:
+            return history[-1].shift > 0.0
+        is_set_up = bool(self._ksp.getPythonContext().formulation)
+        return not (self._has_first_tangent or is_set_up)
+
+    def _measured(self, iterate: Iterate) -> float:
+        """Return η of the present iterate; nan without a preconditioner. Collective."""
+        system = self._system
+        residual = iterate.residual
+        correction = system.scalars.correction(self._ksp, residual.of_u, residual.of_scalars)
+        if correction is None:
+            return np.nan
+        du, ds = correction
+        u, _, s = system.state.values()
+        change_of_u = u - self._origin.u
+        change_of_s = s - self._origin.s
+        error = self._ksp.getPythonContext().estimate_error(du, [u, change_of_u])
+        size_of_u = np.maximum(np.abs(u), np.abs(change_of_u))
+        size_of_s = np.maximum(np.abs(s), np.abs(change_of_s))
+        return float(max(error, system.scalars.error_estimate(ds, size_of_s, size_of_u)))
+
+
+def _is_near_floor(iterate: Iterate, history: Sequence[NewtonStep]) -> bool:
+    """Return True if ‖r‖ is near the rounding errors at the last iterate."""
+    if not history or iterate.violates_constraints:
+        return False
+    return iterate.norm <= FLOOR_MULTIPLE * history[-1].floor

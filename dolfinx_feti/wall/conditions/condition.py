@@ -1,0 +1,166 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A condition on a surface of a wall, and what it contributes to the equations of the wall.
+
+A condition has no state. ``contribution`` receives the surface, with everything that the wall
+changes between two solves, and returns Dirichlet conditions and forms; ``boundary`` adds them up. A
+kind with a value that the user changes takes it as an argument, a dolfinx Constant or Function.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.runtime.arrays import Indices
+from dolfinx_feti.wall.casekeys import Key
+from dolfinx_feti.wall.wall import Wall, facets, surface_measure
+
+__all__ = [
+    "Condition",
+    "Contribution",
+    "SlidingPlane",
+    "Surface",
+    "WallUnknowns",
+    "create_constant",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class WallUnknowns:
+    """The unknown of a wall, and what changes between two solves; shared by all conditions.
+
+    Attributes:
+        u: Displacement [mm], the unknown.
+        last: Displacement of the last time step [mm], zero at first.
+        clamped: Prescribed displacement of clamped surfaces [mm], zero at first.
+        pressure: The wall's pressure [kPa], zero at first.
+        time_step: Time step Δt of the dashpots [s], infinite at first.
+    """
+
+    u: dolfinx.fem.Function
+    last: dolfinx.fem.Function
+    clamped: dolfinx.fem.Function
+    pressure: dolfinx.fem.Constant
+    time_step: dolfinx.fem.Constant
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A surface that a condition is applied to.
+
+    Attributes:
+        wall: The wall.
+        name: Name of the surface.
+        unknowns: What the conditions of the wall share.
+    """
+
+    wall: Wall
+    name: str
+    unknowns: WallUnknowns
+
+    @property
+    def V(self) -> dolfinx.fem.FunctionSpace:
+        """Space of the displacement."""
+        return self.unknowns.u.function_space
+
+    @property
+    def facets(self) -> Indices:
+        """Facets of the surface on this process, ghosts included, (n,)."""
+        return facets(self.wall, self.name)
+
+    @property
+    def ds(self) -> ufl.Measure:
+        """Measure of the surface, which contains facets of the boundary only."""
+        return surface_measure(self.wall)(self.wall.surfaces[self.name])
+
+    def constant(self, value: float) -> dolfinx.fem.Constant:
+        """Return a constant for a form on the wall."""
+        return create_constant(self.wall.mesh, value)
+
+
+@dataclass(frozen=True, slots=True)
+class SlidingPlane:
+    """A plane normal to a coordinate axis, in which a surface slides.
+
+    Attributes:
+        axis: Number of the axis, 0 to 2.
+        coordinate: Coordinate of the plane on this axis [mm].
+        displacement: Prescribed displacement along this axis [mm], zero at first.
+    """
+
+    axis: int
+    coordinate: float
+    displacement: dolfinx.fem.Constant
+
+
+def _no_form() -> ufl.Form:
+    """Return the default of a part: an empty form."""
+    return ufl.Form([])
+
+
+@dataclass(frozen=True, slots=True)
+class Contribution:
+    """What a condition adds to the equations of a wall; parts that are not given add nothing.
+
+    Attributes:
+        bcs: Dirichlet conditions.
+        energy: Potential in u [mN mm]; its derivatives are added to residual and tangent.
+        residual: Virtual work without a potential, with a test function of the space of u; its
+            derivative is added to the tangent, and the wall has no energy.
+        pressure_share: Share of the wall's pressure that follows this surface [-]; None for none.
+        prescribed: Numbers of the components of u that ``bcs`` set to ``WallUnknowns.clamped``, or
+            to the displacement of ``plane``: along these axes the surface is an end that an axial
+            prestretch moves. Empty for other prescribed displacements, which it does not move.
+        plane: Plane in which the surface slides; None if it slides in none.
+    """
+
+    bcs: tuple[dolfinx.fem.DirichletBC, ...] = ()
+    energy: ufl.Form = field(default_factory=_no_form)
+    residual: ufl.Form = field(default_factory=_no_form)
+    pressure_share: dolfinx.fem.Constant | None = None
+    prescribed: tuple[int, ...] = ()
+    plane: SlidingPlane | None = None
+
+
+class Condition(ABC):
+    """Base class of the conditions on a surface.
+
+    Attributes:
+        CASE_KEYS: Keys of a table ``[surfaces.NAME]`` of a case that concern this kind; empty for a
+            kind that cases do not have. The first key names the kind.
+        NEEDS_BOUNDARY: Whether the condition integrates by ``ds``, which is empty inside the wall.
+        WHY_ALONE: Why no other condition is allowed on the same surface, for the message; empty if
+            others are allowed.
+    """
+
+    __slots__ = ()
+
+    CASE_KEYS: ClassVar[Mapping[str, Key]] = {}
+    NEEDS_BOUNDARY: ClassVar[bool] = True
+    WHY_ALONE: ClassVar[str] = ""
+
+    @abstractmethod
+    def contribution(self, surface: Surface) -> Contribution:
+        """Return what the condition adds to the equations of the wall. Collective."""
+
+    @classmethod
+    def from_case(cls, table: Mapping[str, Any], wall_pressure: float) -> Condition | None:
+        """Return the condition in a table ``[surfaces.NAME]`` of a case; None if there is none.
+
+        Args:
+            table: Values of ``CASE_KEYS`` and of other kinds' keys, in the first unit of each.
+            wall_pressure: The wall's pressure [mmHg], the largest one of all surfaces.
+        """
+        return None
+
+
+def create_constant(mesh: dolfinx.mesh.Mesh, value: float) -> dolfinx.fem.Constant:
+    """Return a constant of dolfinx's scalar type."""
+    return dolfinx.fem.Constant(mesh, dolfinx.default_scalar_type(value))

@@ -1,0 +1,106 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The kinds of conditions on a surface, and the conditions of each surface by its name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
+
+from dolfinx_feti.wall.casekeys import Key
+from dolfinx_feti.wall.conditions.condition import Condition
+from dolfinx_feti.wall.conditions.prescribed import Clamp, Slide
+from dolfinx_feti.wall.conditions.pressure import Pressure
+from dolfinx_feti.wall.conditions.tissue import Dashpot, Spring
+
+__all__ = ["KINDS", "Conditions", "by_surface", "case_keys", "conditions_in_case"]
+
+#: One or several conditions for each surface by name.
+Conditions: TypeAlias = Mapping[str, Condition | Sequence[Condition]]
+
+#: All kinds, in the order in which a case lists the conditions of a surface.
+KINDS: tuple[type[Condition], ...] = (Pressure, Spring, Dashpot, Slide, Clamp)
+
+
+def by_surface(conditions: Conditions) -> dict[str, tuple[Condition, ...]]:
+    """Return the conditions of each surface as tuples.
+
+    Raises:
+        ValueError: A surface has an object that is no condition, two conditions of one kind, or
+            others in addition to one that allows none (``WHY_ALONE``).
+    """
+    return {name: _checked(name, conditions[name]) for name in conditions}
+
+
+def _checked(name: str, one_or_several: object) -> tuple[Condition, ...]:
+    """Return the conditions of a surface; see :func:`by_surface`."""
+    listed: tuple[object, ...] = (one_or_several,)
+    if isinstance(one_or_several, Sequence) and not isinstance(one_or_several, str):
+        listed = tuple(one_or_several)
+    surface = f"conditions[{name!r}]"
+    checked: list[Condition] = []
+    for condition in listed:
+        if not isinstance(condition, Condition):
+            raise ValueError(f"{surface} holds {condition!r}: give {_either(KINDS)}.")
+        checked.append(condition)
+    if len({type(condition) for condition in checked}) < len(checked):
+        raise ValueError(f"{surface} holds a condition twice: give each kind once.")
+    for condition in checked:
+        if condition.WHY_ALONE and len(checked) > 1:
+            raise ValueError(
+                f"{surface} holds a {type(condition).__name__.lower()} and another condition, "
+                f"which {condition.WHY_ALONE}: leave one of them out."
+            )
+    return tuple(checked)
+
+
+def case_keys() -> dict[str, Key]:
+    """Return all keys of a table ``[surfaces.NAME]`` of a case."""
+    keys: dict[str, Key] = {}
+    for kind in KINDS:
+        keys |= kind.CASE_KEYS
+    return keys
+
+
+def conditions_in_case(
+    name: str, table: Mapping[str, Any], wall_pressure: float
+) -> tuple[Condition, ...]:
+    """Return the conditions of a table ``[surfaces.NAME]`` of a case.
+
+    Args:
+        name: Name of the surface.
+        table: The values of its keys, in the first unit of each.
+        wall_pressure: Pressure of the case [mmHg], of which each surface gets a share.
+
+    Raises:
+        ValueError: The table, or one of its keys, has no effect.
+    """
+    candidates = (kind.from_case(table, wall_pressure) for kind in KINDS)
+    conditions = tuple(condition for condition in candidates if condition is not None)
+    if not conditions:
+        names = list(dict.fromkeys(_case_name(kind) for kind in KINDS if kind.CASE_KEYS))
+        raise ValueError(f"[surfaces.{name}] has no effect: give it a {_alternatives(names)}")
+    for key in table:
+        if not any(key in condition.CASE_KEYS for condition in conditions):
+            names = [f"a {_case_name(kind)}" for kind in KINDS if key in kind.CASE_KEYS]
+            raise ValueError(
+                f"[surfaces.{name}] {key}: has no effect without {_alternatives(names)}"
+            )
+    return conditions
+
+
+def _case_name(kind: type[Condition]) -> str:
+    """Return the key of a case that names a kind of condition."""
+    return next(iter(kind.CASE_KEYS))
+
+
+def _either(kinds: Sequence[type[Condition]]) -> str:
+    """Return the names of classes for a message, ``A, B or C``."""
+    return _alternatives([kind.__name__ for kind in kinds])
+
+
+def _alternatives(words: Sequence[str]) -> str:
+    """Return words for a message, ``a, b or c``."""
+    *first, last = words
+    return f"{', '.join(first)} or {last}" if first else last

@@ -1,0 +1,83 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Names of layers and surfaces, and their tags.
+
+A *group* is a name with a dimension, 3 for layers and 2 for surfaces, and a tag. Names come from
+the user or from a file; tags without a name are called ``layer_7`` and ``surface_7``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from numbers import Integral
+from typing import TypeAlias
+
+import numpy as np
+
+from dolfinx_feti.runtime.arrays import Numbers
+
+__all__ = ["Group", "Groups", "checked_groups", "merged_names", "named_tags", "names_of_tags"]
+
+#: Dimension and tag of each name.
+Groups: TypeAlias = Mapping[str, tuple[int, int]]
+
+#: Name, dimension and tag.
+Group: TypeAlias = tuple[str, int, int]
+
+
+def checked_groups(names: Groups) -> list[Group]:
+    """Return name, dimension and tag of each group, without those whose name is empty.
+
+    Raises:
+        TypeError: The names are no mapping, or one of them is not mapped to a sequence.
+        ValueError: A name is not mapped to two integers.
+    """
+    expected = "give Mapping[str, tuple[int, int]]"
+    if not isinstance(names, Mapping):
+        raise TypeError(f"names is {names!r}: {expected}.")
+    for name, pair in names.items():
+        if not isinstance(pair, Sequence):
+            raise TypeError(f"names[{name!r}] is {pair!r}: {expected}, the dimension and the tag.")
+        if len(pair) != 2 or not all(isinstance(number, Integral) for number in pair):
+            raise ValueError(
+                f"names[{name!r}] is {pair!r}: give the dimension and the tag, (2, 3) for facets "
+                "tagged 3."
+            )
+    return [(name, *pair) for name, pair in names.items() if name]
+
+
+def named_tags(names: Mapping[str, int], tags: Iterable[int], dim: int) -> dict[str, int]:
+    """Return a name for each tag that occurs, except for a 0 without a name.
+
+    Args:
+        names: Names and their tags; other tags are called ``layer_7`` or ``surface_7``.
+        tags: All tags that occur.
+        dim: 3 for layers, 2 for surfaces.
+    """
+    present = {int(tag) for tag in tags}
+    named = {name: tag for name, tag in names.items() if tag in present}
+    kind = "layer" if dim == 3 else "surface"
+    return named | {f"{kind}_{tag}": tag for tag in sorted(present - {0, *named.values()})}
+
+
+def merged_names(
+    of_file: Mapping[str, int], groups: Sequence[Group], dim: int, tags: Numbers
+) -> dict[str, int]:
+    """Return the names of the tags of one dimension, those of the user before those of a file.
+
+    Args:
+        of_file: Names and tags of the file. A name is dropped if the user names its tag.
+        groups: Groups of the user.
+        dim: 3 for layers, 2 for surfaces.
+        tags: Tags of all entities; names of other tags are dropped.
+    """
+    of_user = {name: tag for name, group_dim, tag in groups if group_dim == dim}
+    remaining = {name: tag for name, tag in of_file.items() if tag not in of_user.values()}
+    return {name: tag for name, tag in (remaining | of_user).items() if np.any(tags == tag)}
+
+
+def names_of_tags(names: Mapping[str, int], tags: Numbers) -> list[tuple[str | None, int]]:
+    """Return the name of each tag that occurs, None for a nameless one, and the tag."""
+    name_of = {tag: name for name, tag in names.items()}
+    return [(name_of.get(int(tag)), int(tag)) for tag in np.unique(tags)]

@@ -1,0 +1,102 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A strip whose cells are inside out between the points of the quadrature, and no others."""
+
+from __future__ import annotations
+
+import numpy as np
+from collective import COMM
+from problems import Cell
+
+import dolfinx
+import ufl
+
+from dolfinx_feti import NonlinearProblem
+from dolfinx_feti.mechanics.materials import perturbed_lagrangian
+
+ROWS = 4
+
+#: Strain at the vertices x = 1 of a strip of which all vertices there are inverted: det F = −0.1.
+INVERTED = 1.1
+
+#: The same of distorted cells: det F = 0.15 there, where its mean is 0.43 or 0.72.
+DISTORTED = 0.85
+
+#: And of one whose cells are sound.
+SOUND = 0.5
+
+
+class Strip:
+    """Two columns of cells, the left one of which is compressed: det F = 1 − s x for x ≤ 1.
+
+    The unknown is in equilibrium there by the choice of its load.
+    """
+
+    def __init__(
+        self, kind=Cell.triangle, *, degree=2, unit=1.0, pressure=False, held=None, **arguments
+    ):
+        corners = [(0, 0), (2 * unit, unit)]
+        mesh = dolfinx.mesh.create_rectangle(COMM, corners, (2, ROWS), cell_type=kind)
+        self.mesh = mesh
+        self.unit = unit
+        V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+        self.u = dolfinx.fem.Function(V)
+        self.aim = dolfinx.fem.Function(V)
+        fields = {}
+        J = ufl.det(ufl.Identity(2) + ufl.grad(self.u))
+        energy = self.density(self.u) * ufl.dx
+        if pressure:
+            p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
+            energy += perturbed_lagrangian(J, p, kappa=1.0) * ufl.dx
+            fields["condense"] = p
+        else:
+            v = ufl.TestFunction(V)
+            energy = ufl.derivative(energy, self.u, v)
+            energy -= ufl.derivative(self.density(self.aim) * ufl.dx, self.aim, v)
+        self.problem = NonlinearProblem(
+            energy,
+            self.u,
+            bcs=self.conditions(held),
+            subdomains=4,
+            quadrature_degree=2 * degree,
+            **fields,
+            **arguments,
+        )
+
+    def conditions(self, held):
+        """Prescribe the compression on a part of the boundary, the right end if none is given."""
+        V = self.u.function_space
+
+        def right_end(x):
+            return np.isclose(x[0], 2 * self.unit)
+
+        where = right_end if held is None else held
+        facets = dolfinx.mesh.locate_entities_boundary(self.mesh, 1, where)
+        dofs = dolfinx.fem.locate_dofs_topological(V, 1, facets)
+        return [dolfinx.fem.dirichletbc(self.aim, dofs)]
+
+    @staticmethod
+    def density(u):
+        F = ufl.Identity(2) + ufl.grad(u)
+        return ufl.inner(F, F) - 2 * ufl.ln(ufl.det(F))
+
+    def place(self, f, strain):
+        """Set a function to the compression."""
+
+        def compressed(x):
+            ξ = np.minimum(x[0] / self.unit, 1.0)
+            return np.stack([-strain / 2 * ξ**2 * self.unit, 0 * x[1]])
+
+        f.interpolate(compressed)
+
+    def solve(self, strain):
+        """Solve for a compression, beginning there."""
+        self.place(self.aim, strain)
+        self.place(self.u, strain)
+        self.problem.solve()
+
+
+def told(caplog):
+    """Return the warnings of det F, which are logged on the first process."""
+    return COMM.bcast([text for text in caplog.messages if "det F is" in text])

@@ -1,0 +1,92 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Signed distances of tools at points whose distance is known by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from collective import COMM, raises
+
+import dolfinx
+import ufl
+
+from dolfinx_feti.contact import Contact, cylinder, half_space, sphere, torus, union
+
+pytestmark = pytest.mark.serial
+
+PLACES = {
+    "plate": (half_space((0, 0, 2), (1, 1, 1)), (5, 6, 4), 3.0),
+    "plate-offset": (half_space((0, 1, 0), offset=0.5), (5, 6, 4), 5.5),
+    "plate-of-any-length": (half_space((3, 4, 0)), (1, 1, 9), 1.4),
+    "sphere": (sphere(2.0), (0, 3, 4), 3.0),
+    "sphere-hollow": (sphere(7.0, (0, 0, 1), inside=True), (0, 3, 5), 2.0),
+    "cylinder": (cylinder((0, 0, 3), 1.0, (1, 0, 7)), (4, 4, -8), 4.0),
+    "cylinder-hollow": (cylinder((0, 0, 1), 7.0, inside=True), (3, 4, 5), 2.0),
+    "torus": (torus((0, 0, 1), 5.0, 1.0), (3, 4, 3), 2.0),
+    "torus-inside": (torus((0, 0, 1), 5.0, 1.0, inside=True), (3, 4, 0.25), 0.75),
+    "union": (union(sphere(1.0), sphere(1.0, (9, 0, 0))), (7, 0, 0), 1.0),
+}
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_distance(name):
+    """UFL evaluates expressions of numbers itself."""
+    tool, place, distance = PLACES[name]
+    assert math.isclose(ufl.as_ufl(tool(ufl.as_vector(place)))(()), distance, rel_tol=1e-12)
+
+
+def test_constant_moves_a_tool():
+    mesh = dolfinx.mesh.create_unit_square(COMM, 1, 1)
+    radius = dolfinx.fem.Constant(mesh, 1.0)
+    centre = dolfinx.fem.Constant(mesh, np.zeros(2))
+    distance = sphere(radius, centre)(ufl.as_vector([3.0, 4.0])) * ufl.dx(mesh)
+    values = []
+    for size, place in ((1.0, (0, 0)), (2.0, (3, 0))):
+        radius.value = size
+        centre.value = place
+        form = dolfinx.fem.form(distance)
+        values.append(COMM.allreduce(dolfinx.fem.assemble_scalar(form)))
+    assert np.allclose(values, [4.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: sphere(0.0), "radius = 0.0: give a positive"),
+        (lambda: sphere(1.0, (0, math.nan, 0)), "centre = .* give finite"),
+        (lambda: cylinder((0, 0, 0), 1.0), "axis = .* not zero"),
+        (lambda: half_space((0, 0, 1), offset=math.inf), "offset = inf"),
+        (lambda: union(), "no tools"),
+        (lambda: cylinder((0, 0, 1), 1.0)(ufl.as_vector([1.0, 2.0])), "3 components"),
+    ],
+    ids=["radius", "centre", "axis", "offset", "union", "plane"],
+)
+def test_bad_tools(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
+
+
+def _body():
+    mesh = dolfinx.mesh.create_unit_square(COMM, 2, 2)
+    return dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,))))
+
+
+@pytest.mark.parametrize(
+    ("make", "kind", "words"),
+    [
+        (lambda u: Contact(u, ufl.dx, sphere(1.0)), ValueError, "measure of a surface"),
+        (lambda u: Contact(u, ufl.ds, 1.0), TypeError, "function of the position"),
+        (lambda u: Contact(u, ufl.ds, lambda x: x), ValueError, "give a scalar"),
+        (lambda u: Contact(u, ufl.ds, lambda x: 1.0), ValueError, "does not depend"),
+        (lambda u: Contact(u[0], ufl.ds, sphere(1.0)), TypeError, "displacement"),
+        (lambda u: Contact(u, ufl.ds, sphere(1.0)).force(), RuntimeError, "belongs to no problem"),
+    ],
+    ids=["measure", "tool", "shape", "position", "component", "problem"],
+)
+def test_bad_contacts(make, kind, words):
+    with raises(kind, words):
+        make(_body())

@@ -1,0 +1,185 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Cells that are inside out or distorted are found and counted, also between quadrature points.
+
+The displacements are polynomials of the element, so that det F is known at every vertex.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, small
+from problems import Cell, dirichlet, left
+from strips import DISTORTED, INVERTED, ROWS, SOUND, Strip, told
+
+import basix.ufl
+import dolfinx
+import ufl
+
+from dolfinx_feti import NonlinearProblem
+from dolfinx_feti.meshes.curved import curved
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("kind", [Cell.triangle, Cell.quadrilateral])
+def test_what_is_found(kind, unit, caplog):
+    strip = Strip(kind, unit=unit)
+    strip.place(strip.u, INVERTED)
+    agree(strip.problem._system.smallest_volume_ratio() > 0.0)
+    found = strip.problem.cell_volumes()
+    agree(all(other == found for other in COMM.allgather(found)), found)
+    small(found.least - (1.0 - INVERTED), 1e-5)
+    small(found.greatest - 1.0, 1e-5)
+    column = ROWS * (2 if kind == Cell.triangle else 1)
+    agree((found.cells, found.inverted) == (2 * column, column), found)
+    agree(not found.is_sound and found.distorted >= found.inverted, found)
+    third = 1 / 3 if kind == Cell.triangle else 1 / 2
+    equal(found.low, unit * np.array([third, third / ROWS]), 1e-9)
+    equal(found.high, unit * np.array([1 - third, 1 - third / ROWS]), 1e-9)
+    inside = np.array(found.low) <= np.array(found.worst) * (1 + 1e-9)
+    agree(np.all(inside) and len(found.worst) == 2, found)
+    agree(f"not positive in {column} cells" in str(found), found)
+    agree(not told(caplog))  # to ask is no reason to warn
+
+
+@pytest.mark.parametrize(("strain", "is_sound"), [(DISTORTED, False), (SOUND, True)])
+def test_distorted_cells(strain, is_sound):
+    strip = Strip()
+    strip.place(strip.u, strain)
+    found = strip.problem.cell_volumes()
+    agree(found.inverted == 0 and found.is_sound == is_sound, found)
+    agree((found.distorted > 0) != is_sound and bool(found.low) != is_sound, found)
+
+
+def test_axisymmetric_body_with_its_axis():
+    """(1 + a)² (1 + b) everywhere, the axis included, where u/r is 0/0; then b(z) inverts."""
+    mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (1, 1)], (3, 1))
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    u = dolfinx.fem.Function(V)
+    r = ufl.SpatialCoordinate(mesh)[0]
+    H = ufl.grad(u)
+    F = ufl.as_matrix([[1 + H[0, 0], H[0, 1], 0], [H[1, 0], 1 + H[1, 1], 0], [0, 0, 1 + u[0] / r]])
+    energy = 2 * np.pi * r * (ufl.inner(F, F) - 2 * ufl.ln(ufl.det(F))) * ufl.dx
+    axis = dolfinx.mesh.locate_entities_boundary(mesh, 1, left)
+    bc = dolfinx.fem.dirichletbc(
+        0.0, dolfinx.fem.locate_dofs_topological(V.sub(0), 1, axis), V.sub(0)
+    )
+    problem = NonlinearProblem(energy, u, bcs=[bc], subdomains=2, quadrature_degree=4)
+    u.interpolate(lambda x: np.stack([0.2 * x[0], 0.1 * x[1]]))
+    found = problem.cell_volumes()
+    small(found.least - 1.2**2 * 1.1, 1e-5)
+    small(found.greatest - 1.2**2 * 1.1, 1e-5)
+    u.interpolate(lambda x: np.stack([0.2 * x[0], -INVERTED / 2 * x[1] ** 2]))
+    found = problem.cell_volumes()
+    small(found.least - 1.2**2 * (1 - INVERTED), 1e-5)
+    agree(found.inverted == found.cells == 6, found)
+
+
+def test_curved_cells():
+    """A stretch is found to be one on curved cells; they invert as straight ones do."""
+    square = dolfinx.mesh.create_unit_square(COMM, 3, 3, Cell.quadrilateral)
+
+    def bent(x):
+        radius = 1 + x[:, 0]
+        return np.column_stack([radius * np.cos(x[:, 1]), radius * np.sin(x[:, 1])])
+
+    mesh = curved(square, bent)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    u = dolfinx.fem.Function(V)
+    energy = Strip.density(u) * ufl.dx
+    problem = NonlinearProblem(energy, u, subdomains=4, quadrature_degree=4)
+    u.interpolate(lambda x: np.stack([0.3 * x[0], -0.1 * x[1]]))
+    found = problem.cell_volumes()
+    small(found.least - 1.3 * 0.9, 1e-6)
+    small(found.greatest - 1.3 * 0.9, 1e-6)
+    agree(found.is_sound, found)
+    inner = dolfinx.fem.locate_dofs_geometrical(V, lambda x: np.hypot(x[0], x[1]) < 1.01)
+    u.x.array.reshape(-1, 2)[inner] *= -3.0
+    found = problem.cell_volumes()
+    agree(found.inverted > 0, found)
+    agree(np.hypot(*found.worst) < 1.4, found)
+
+
+@pytest.mark.parametrize(("degree", "inverted"), [(1, 1), (3, 2)])
+def test_other_degrees(degree, inverted):
+    """P1 is constant in a cell; a node of P3 that moves inverts the cells at it alone."""
+    mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (2,)))
+    u = dolfinx.fem.Function(V)
+    problem = NonlinearProblem(Strip.density(u) * ufl.dx, u, subdomains=4, quadrature_degree=4)
+    u.interpolate(lambda x: np.stack([0.5 * x[0], 0.0 * x[1]]))
+    found = problem.cell_volumes()
+    small(found.least - 1.5, 1e-9)
+    small(found.greatest - 1.5, 1e-9)
+    at = dolfinx.fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0] + x[1], 0.0))
+    u.x.array.reshape(-1, 2)[at] += [3.0, 0.0]
+    found = problem.cell_volumes()
+    agree(found.inverted == inverted, found)
+    agree(max(found.worst) < 0.25, found)
+
+
+def test_swelling_is_no_distortion():
+    """A body that triples its volume, or shrinks, evenly, is sound; and so is grown tissue."""
+    strip = Strip()
+    for factor in (3.0, 0.3):
+        strip.u.interpolate(lambda x, factor=factor: np.stack([(factor - 1) * x[0], 0 * x[1]]))
+        found = strip.problem.cell_volumes()
+        agree(found.is_sound, found)
+        small(found.least - factor, 1e-9)
+
+
+def test_elastic_part_is_looked_at():
+    """F G⁻¹ of a prestressed image: G = I − s x e_x ⊗ e_x is inside out at x = 1, F is not."""
+    mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (1, 1)], (1, ROWS))
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    u = dolfinx.fem.Function(V)
+    G = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 1, (2, 2))))
+    G.interpolate(lambda x: np.stack([1 - INVERTED * x[0], 0 * x[0], 0 * x[0], 1 + 0 * x[0]]))
+    E = (ufl.Identity(2) + ufl.grad(u)) * ufl.inv(G)
+    energy = (ufl.inner(E, E) - 2 * ufl.ln(ufl.det(E))) * ufl.det(G) * ufl.dx
+    problem = NonlinearProblem(energy, u, subdomains=2, quadrature_degree=4)
+    found = problem.cell_volumes()
+    agree(found.inverted == found.cells == 2 * ROWS, found)
+    G.interpolate(lambda x: np.stack([2 + 0 * x[0], 0 * x[0], 0 * x[0], 1 + 0 * x[0]]))
+    found = problem.cell_volumes()
+    small(found.least - 0.5, 1e-9)
+    agree(found.is_sound, found)
+
+
+def test_gradient_at_points_of_a_quadrature():
+    """G that is known at the points of a quadrature alone is left out: F is looked at."""
+    mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (1, 1)], (1, ROWS))
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
+    u = dolfinx.fem.Function(V)
+    element = basix.ufl.quadrature_element("triangle", value_shape=(2, 2), degree=4)
+    G = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
+    G.x.array.reshape(-1, 4)[:] = [2.0, 0.0, 0.0, 1.0]
+    E = (ufl.Identity(2) + ufl.grad(u)) * ufl.inv(G)
+    dx = ufl.dx(metadata={"quadrature_degree": 4, "quadrature_scheme": "default"})
+    energy = (ufl.inner(E, E) - 2 * ufl.ln(ufl.det(E))) * dx
+    problem = NonlinearProblem(energy, u, subdomains=2, quadrature_degree=4)
+    u.interpolate(lambda x: np.stack([-INVERTED / 2 * x[0] ** 2, 0 * x[1]]))
+    found = problem.cell_volumes()
+    small(found.least - (1 - INVERTED), 1e-5)
+    scalars = basix.ufl.quadrature_element("triangle", value_shape=(), degree=4)
+    at_points = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, scalars))
+    at_points.x.array[:] = 1.0
+    problem = NonlinearProblem(
+        Strip.density(u) * ufl.dx, u, subdomains=2, quadrature_degree=4, volume_ratio=at_points
+    )
+    agree(problem.cell_volumes() is None)
+    problem.warn_of_cells()
+
+
+def test_form_without_a_deformation():
+    """Of a diffusion nothing is watched, and nothing said."""
+    mesh = dolfinx.mesh.create_unit_square(COMM, 3, 3)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
+    u = dolfinx.fem.Function(V)
+    energy = ((1 + u**2) * ufl.inner(ufl.grad(u), ufl.grad(u)) - u) * ufl.dx
+    problem = NonlinearProblem(energy, u, bcs=[dirichlet(V, left)], subdomains=2)
+    problem.solve()
+    agree(problem.cell_volumes() is None)
+    agree(problem.diagnose().volumes is None)

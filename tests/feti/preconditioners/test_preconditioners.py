@@ -1,0 +1,225 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The dual operator, its preconditioners and the constraint on them against dense formulas."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from cases import case, each, every_interior, every_type
+from collective import COMM, agree, dense, equal, matrix_of_map, random_part, small, whole
+from hand_torn import scaled_diagonal
+from modes import modes_of, on_torn_dofs
+
+from dolfinx_feti.feti.coarse.weighted_columns import compute_weighted_columns
+from dolfinx_feti.feti.dual import system
+from dolfinx_feti.feti.dual.krylov import RATIO_MARGIN, ResidualEstimate, StoppingTest
+from dolfinx_feti.feti.dual.system import DualSystem, DualUnknowns
+from dolfinx_feti.feti.preconditioners.registry import PRECONDITIONERS
+
+PROBLEMS = {
+    "elasticity": case((2, 2), (2, 3), 2),
+    "one cell each": case((2, 2, 2), (1, 1, 1), 3),
+    "Laplace": case((3,), (4,)),
+    "no interior": case((3, 1), (1, 1), 2, fixed=lambda x: np.isin(x[:, 0], (0.0, 3.0))),
+}
+BUCKLING = scaled_diagonal(0.98)  # the kernel of each subdomain becomes negative
+every_problem = each("grid", PROBLEMS)
+every_state = each("change", {"at rest": None, "buckling": BUCKLING})
+every_pc = pytest.mark.parametrize("pc_type", PRECONDITIONERS)
+
+
+def weight_of(problem, formulation, pc_type):
+    """Y of the definition on all torn dofs."""
+    K = problem.K_torn
+    Z = on_torn_dofs(formulation, modes_of(formulation).stabilisation)
+    fixed = whole(formulation.pattern.fixed)
+    glued = np.any(dense(formulation.pattern.gluing.B) != 0.0, axis=0)
+    if pc_type == "identity":
+        return np.abs(np.diag(K)[glued]).mean() * np.eye(len(K)) + Z @ Z.T
+    if pc_type == "lumped":
+        return K + Z @ Z.T
+    Y = np.zeros_like(K)
+    inside = ~fixed & ~glued
+    glued &= ~fixed
+    K_II = K[np.ix_(inside, inside)]
+    K_ΓI = K[np.ix_(glued, inside)]
+    X = np.linalg.solve(K_II, np.hstack([K[np.ix_(inside, glued)], Z[inside]]))
+    S, Y_Z = np.split(np.hstack([K[np.ix_(glued, glued)], Z[glued]]) - K_ΓI @ X, [glued.sum()], 1)
+    C2 = np.eye(Z.shape[1]) + Z[inside].T @ X[:, glued.sum() :]
+    Y[np.ix_(glued, glued)] = S + Y_Z @ np.linalg.solve((C2 + C2.T) / 2, Y_Z.T)
+    return Y
+
+
+def matrix(formulation):
+    return matrix_of_map(lambda r: formulation.preconditioner.apply(r)[0], formulation.system.m)
+
+
+@every_problem
+@every_type
+@every_pc
+@every_state
+@every_interior
+def test_preconditioner_is_the_weighted_one(
+    grid, kind, pc_type, change, interior, torn_grid, parts
+):
+    """M = B_D Y B_Dᵀ ⪰ 0; M G s, Gᵀ M r and Gᵀ M G of the blocks; force of a jump: no props."""
+    problem = torn_grid(change=change, **grid)
+    formulation = parts(problem.A, type=kind, pc_type=pc_type, interior=interior)
+    pc = formulation.preconditioner
+    coarse = formulation.coarse
+    G = dense(formulation.coarse.G)
+    M = matrix(formulation)
+    B_D = dense(pc.B_D.matrix)
+    equal(M, B_D @ weight_of(problem, formulation, pc_type) @ B_D.T, 1e-11)
+    equal(M, M.T, 1e-12)
+    agree(np.linalg.eigvalsh(M)[0] > -1e-12 * np.abs(M).max())
+    equal(matrix_of_map(coarse.MG.multiply, coarse.n_c), M @ G, 1e-12)
+    equal(matrix_of_map(coarse.MG.multiply_transposed, formulation.system.m), G.T @ M, 1e-12)
+    MG, galerkin_matrix = compute_weighted_columns(pc, formulation.delta, formulation.inverse)
+    equal(dense(galerkin_matrix), G.T @ M @ G, 1e-12)
+    galerkin_matrix.destroy()
+    MG.destroy()
+    agree((formulation.inertia.dual > 0) == (change is not None))
+    if interior == "keep":
+        jump = random_part(formulation.system.m)
+        free = ~formulation.pattern.fixed
+        expected = formulation.torn.multiply(pc.extend(pc.B_D.T @ jump))
+        equal(whole(pc.apply(jump)[1][free]), whole(expected[free]), 1e-11)
+
+
+# ---- the dual operator ----------------------------------------------------------------------
+
+GRIDS = {"Laplace": case((2, 2), (2, 2)), "elasticity": case((2, 2), (1, 2), 2)}
+CHANGES = {
+    "no prestress": None,
+    "prestress": scaled_diagonal(1.01),
+    "compression": scaled_diagonal(0.99),
+}
+every_grid = each("grid", GRIDS)
+every_change = each("change", CHANGES)
+every_q = pytest.mark.parametrize("q", ["identity", "diagonal", "preconditioner"])
+
+
+def constraint(system):
+    """Constraint preconditioner from jumps to λ and to s, two matrices."""
+    to_lam = matrix_of_map(lambda r: system.precondition(r)[0].lam, system.m)
+    to_s = matrix_of_map(lambda r: system.precondition(r)[0].s, system.m)
+    return to_lam, to_s
+
+
+@every_grid
+@every_type
+@every_change
+@every_interior
+def test_operator(grid, kind, change, interior, torn_grid, parts):
+    """F λ − G s for (λ, s); F = B K⁺ Bᵀ = Fᵀ, on balanced λ with the Moore–Penrose inverse."""
+    problem = torn_grid(change=change, **grid)
+    formulation = parts(problem.A, type=kind, interior=interior)
+    dual = formulation.system
+    G = dense(formulation.coarse.G)
+    F = matrix_of_map(dual.flexibility, dual.m)
+    equal(F, F.T, 1e-12)
+    lam = random_part(dual.m)
+    s = random_part(formulation.coarse.n_c)
+    jump = dual.multiply(DualUnknowns(lam, s))
+    equal(whole(jump), F @ whole(lam) - G @ whole(s), 1e-12)
+    if change is None:
+        small(min(np.linalg.eigvalsh(F)[0], 0.0), 1e-14 * np.abs(F).max())
+        B = dense(formulation.pattern.gluing.B)
+        free = np.flatnonzero(np.any(B != 0, axis=0) | ~problem.dirichlet[problem.to_global])
+        K = problem.K_torn[np.ix_(free, free)]
+        expected = B[:, free] @ np.linalg.pinv(K, rcond=1e-10, hermitian=True) @ B[:, free].T
+        P = np.eye(len(F)) - G @ np.linalg.solve(G.T @ G, G.T)
+        equal(P @ F @ P, P @ expected @ P, 1e-10)
+
+
+@every_grid
+@every_q
+@every_change
+@pytest.mark.parametrize("pc_type", ["dirichlet", "identity"])
+def test_constraint_preconditioner_is_the_inverse_it_stands_for(
+    grid, q, change, pc_type, torn_grid, parts, lifetime
+):
+    """Its image is balanced, Gᵀz_λ + D z_s = 0, and equals P M Pᵀ r for D = 0."""
+    formulation = parts(torn_grid(change=change, **grid).A, pc_type=pc_type, coarse_q=q)
+    M = matrix(formulation)
+    if formulation.coarse.MG is not None:
+        M += np.diag(whole(formulation.coarse.q.array_r))
+    G, N, D = (dense(getattr(formulation.coarse, key)) for key in ("G", "N", "D"))
+    QG = matrix_of_map(formulation.system.weighted_jump, formulation.coarse.n_c)
+    z_lam, z_s = constraint(formulation.system)
+    scale = np.abs(z_lam).max()
+    small(np.abs(G.T @ z_lam + D @ z_s).max(), 1e-10 * max(scale, np.abs(D @ z_s).max()))
+    equal(z_lam, z_lam.T, 1e-10)
+    w = np.linalg.solve(N, QG.T)
+    y = M - M @ G @ w
+    v = np.linalg.solve(N, G.T @ y - D @ w)
+    equal(z_lam, y - QG @ v, 1e-10)
+    if change is None:
+        P = np.eye(len(G)) - QG @ np.linalg.solve(N, G.T)
+        equal(z_lam, P @ M @ P.T, 1e-10)
+    agree(formulation.system.has_exact_kernel == (change is None))
+    agree(formulation.system.omits_s == (change is None and formulation.coarse.MG is None))
+    equal(z_s, np.zeros_like(z_s) if formulation.system.omits_s else -w - v, 1e-10)
+    not_cg = DualSystem(
+        formulation.pattern.gluing,
+        formulation.inverse,
+        formulation.preconditioner,
+        formulation.coarse,
+        is_cg=False,
+    )
+    to_lam, to_s = constraint(lifetime.own(not_cg))
+    equal(to_lam, z_lam, 1e-10)
+    equal(to_s, -w - v, 1e-10)
+
+
+@every_q
+def test_preconditioner_waits_for_no_norm(q, torn_grid, parts, monkeypatch):
+    """The norm of the assembled residual travels with the coarse right-hand side, if it can."""
+    dual = parts(torn_grid(**GRIDS["elasticity"]).A, type="all_floating", coarse_q=q).system
+    r = np.random.default_rng(744 + COMM.rank).standard_normal(dual.m)
+    expected = dual.assembled_norm(r)
+    calls = []
+    sum_ = system.total
+    monkeypatch.setattr(system, "total", lambda *part: calls.append(0) or sum_(*part))
+    norm = dual.precondition(r)[1]
+    equal(norm, expected, 1e-12)
+    agree(len(calls) == (q == "preconditioner"))
+
+
+@pytest.mark.parametrize(
+    ("cg", "exact", "measured"),
+    [(True, True, []), (True, False, [3, 13, 23]), (False, True, [3, 13, 23])],
+)
+def test_residual_is_measured_again(cg, exact, measured):
+    """Where an estimate promises too much, and every ten iterations then; never if CG knows it."""
+    measurements = []
+
+    def measure(_residual):
+        measurements.append(its)
+        return 0.8
+
+    vector = SimpleNamespace(norm=lambda: 1.0, destroy=lambda: None)
+    ksp = SimpleNamespace(
+        buildResidual=lambda: vector,
+        getSolution=lambda: vector,
+        getNormType=lambda: None,
+        getAttr=lambda _: None,
+    )
+    shell = SimpleNamespace(
+        system=SimpleNamespace(has_exact_kernel=exact),
+        assembled_norm=measure,
+        read_unknowns=lambda x: x,
+    )
+    initial = 1.0 if cg else 1.0 / RATIO_MARGIN
+    estimate = ResidualEstimate(shell, preconditions_residual=cg, initial=initial)
+    test = StoppingTest(shell, estimate, target=0.5, max_it=100, monitor=lambda *_: None)
+    for its in range(30):
+        norm = 0.4 if its == 3 else 1.0
+        shell.preconditioned_norm = norm
+        if test(ksp, its, norm):
+            break
+    agree(measurements == measured, measurements)
+    agree(its == (29 if measured else 3), its)

@@ -1,0 +1,119 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""What all Krylov methods of the primal formulation have in common: solution, iterations, ends."""
+
+from types import SimpleNamespace
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+from cases import case
+from collective import agree, equal, random_part, small, whole
+
+from dolfinx_feti.feti.primal.krylov.registry import KRYLOV_METHODS
+from dolfinx_feti.feti.primal.stopping import StoppingTest
+
+GRID = case((3, 2), (3, 2), 2)
+Reason = PETSc.KSP.ConvergedReason
+every_method = pytest.mark.parametrize(
+    "method", [method.solve for method in KRYLOV_METHODS.values()], ids=KRYLOV_METHODS
+)
+
+
+@pytest.fixture
+def system(torn_grid, form):
+    """Make the assembled interface operator of a grid, with its preconditioner."""
+    return form(torn_grid(**GRID)).system
+
+
+def run(method, system, f, *, target=1e-10, max_it=200):
+    """Solve; return the solution, how the method ended, its basis, and the monitored norms."""
+    norms = []
+    stopping = StoppingTest(target, max_it)
+    x, info, basis = method(
+        system,
+        f,
+        stopping,
+        monitor=lambda its, norm: norms.append((its, norm)),
+        stored_iterations=5,
+        allow_indefinite=False,
+    )
+    return x, info, basis, norms
+
+
+@every_method
+def test_solution_and_its_monitor(method, system):
+    """The last norm is that of the residual, and each iteration is monitored once."""
+    f = random_part(system.copies.size)
+    x, info, _, norms = run(method, system, f)
+    agree(info.reason == Reason.CONVERGED_RTOL, info)
+    agree([its for its, _ in norms] == list(range(info.iterations + 1)), norms)
+    small(system.norm(system.residual(f, x)), 1e-9)
+
+
+@every_method
+def test_basis(method, system):
+    """A Z = R H for the stored iterations."""
+    _, _, basis, _ = run(method, system, random_part(system.copies.size))
+    AZ = np.array([system.apply(z) for z in basis.Z])
+    agree(0 < len(basis.Z) <= 5, len(basis.Z))
+    equal(whole(AZ.T), whole((basis.H.T @ basis.R).T), 1e-9)
+
+
+@every_method
+def test_no_iterations_remain(method, system):
+    _, info, _, _ = run(method, system, random_part(system.copies.size), max_it=2)
+    agree(info.reason == Reason.DIVERGED_MAX_IT and info.iterations == 2, info)
+
+
+@every_method
+def test_no_load(method, system):
+    x, info, _, _ = run(method, system, np.zeros(system.copies.size))
+    agree(info.reason > 0 and info.iterations == 0 and not x.any(), info)
+
+
+@every_method
+def test_load_is_nan(method, system):
+    _, info, _, _ = run(method, system, np.full(system.copies.size, np.nan))
+    agree(info.reason == Reason.DIVERGED_NANORINF, info)
+
+
+# ---- the stopping test ----------------------------------------------------------------------
+
+WITH_ERROR = StoppingTest(1.0, 9, error_test=SimpleNamespace(error_tolerance=0.5))
+WITHOUT_ERROR = StoppingTest(1.0, 9)
+#: Test, ‖r‖, iterations, η; and the reason.
+RESIDUALS = {
+    "above its target": (WITHOUT_ERROR, 2.0, 8, np.nan, Reason.ITERATING),
+    "above its target at last": (WITHOUT_ERROR, 2.0, 9, np.nan, Reason.DIVERGED_MAX_IT),
+    "at its target": (WITHOUT_ERROR, 1.0, 9, np.nan, Reason.CONVERGED_RTOL),
+    "not finite": (WITHOUT_ERROR, np.inf, 1, np.nan, Reason.DIVERGED_NANORINF),
+    "at its target with an unknown error": (WITH_ERROR, 1.0, 9, np.nan, Reason.ITERATING),
+    "at its target with a large error": (WITH_ERROR, 1.0, 1, 0.6, Reason.ITERATING),
+    "at its target with a small error": (WITH_ERROR, 1.0, 1, 0.5, Reason.CONVERGED_RTOL),
+    "zero with an unknown error": (WITH_ERROR, 0.0, 0, np.nan, Reason.CONVERGED_RTOL),
+}
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize("residual", RESIDUALS.values(), ids=RESIDUALS)
+def test_reason_of_residual(residual):
+    test, norm, its, error, expected = residual
+    reason = test.reason_of_residual(norm, its, error)
+    assert reason == expected
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("error", "its", "expected"),
+    [
+        (0.5, 9, Reason.CONVERGED_RTOL),
+        (0.6, 8, Reason.ITERATING),
+        (0.6, 9, Reason.DIVERGED_MAX_IT),
+        (np.nan, 8, Reason.ITERATING),
+    ],
+)
+def test_reason_of_error(error, its, expected):
+    assert WITH_ERROR.reason_of_error(error, its) == expected

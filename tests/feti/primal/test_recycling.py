@@ -1,0 +1,231 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Ritz vectors of the primal form: their algebra, what they save, and negative curvature."""
+
+from dataclasses import replace
+from functools import partial
+
+from petsc4py import PETSc
+
+import numpy as np
+import primal_form
+import pytest
+from cases import case, each, every_interior
+from collective import COMM, agree, equal, matrix_of_map, random_part, small, whole
+from hand_torn import softened
+
+from dolfinx_feti.feti.coarse.solver import CoarseSolver
+from dolfinx_feti.feti.interface import copies
+from dolfinx_feti.feti.primal import deflation, recycling
+from dolfinx_feti.feti.primal.deflation import create_deflation_space
+from dolfinx_feti.feti.primal.krylov.conjugate_gradients import conjugate_gradients
+from dolfinx_feti.feti.primal.recycling import MAX_RITZ_VALUE, recycled_vectors, soft_fields
+from dolfinx_feti.feti.primal.stopping import StoppingTest
+from dolfinx_feti.feti.solve_info import RitzVectors
+from dolfinx_feti.runtime import collective
+
+FEW = 4
+
+#: The last residuals are orthogonal to V up to eps κ(A₀) of the first one, 1e7 times as large.
+SPOILT = 1e-3
+
+GRID = case((4, 3), (3, 3), 2)
+Reason = PETSc.KSP.ConvergedReason
+SOFTENED = softened(0.0004)
+every_change = each("change", {"no prestress": None, "compression": SOFTENED})
+
+
+@pytest.fixture
+def form(form):
+    """Make the primal form of a problem without soft modes."""
+    return partial(form, coarse_modes=0)
+
+
+def assembled(primal, columns):
+    """Columns, by copies, of an assembled block, (n, columns)."""
+    block = random_part(primal.system.copies.size, columns)
+    return np.column_stack([primal.system.copies.average(t) for t in block.T])
+
+
+def slowed(primal):
+    """A system whose preconditioner all but misses a few directions: as many small eigenvalues."""
+    system = primal.system
+    copies = primal.system.copies
+    f = random_part(copies.size, FEW).T
+    r = [system.residual(t, system.deflation.initial_guess(copies.sum(t))) for t in f]  # balanced
+    X = copies.delta[:, None] * np.column_stack(r)
+    C = np.linalg.cholesky(COMM.allreduce(X.T @ X))
+    X = np.linalg.solve(C, X.T).T  # XᵀX = I
+
+    def weaken(t):
+        return t - 0.95 * X @ COMM.allreduce(X.T @ t)
+
+    return replace(system, solve_local=lambda t: weaken(system.solve_local(weaken(t))))
+
+
+def iterate(system, f, *, rtol=1e-10, max_it=200, stored=200):
+    """Solve by conjugate gradients to a share of the right-hand side's norm."""
+    stopping = StoppingTest(rtol * system.norm(system.copies.sum(f)), max_it)
+    return conjugate_gradients(
+        system,
+        f,
+        stopping,
+        monitor=lambda its, norm: None,
+        stored_iterations=stored,
+        allow_indefinite=False,
+    )
+
+
+def deflated(primal, system, vectors):
+    """The space with Ritz vectors, and the system with it."""
+    space = create_deflation_space(primal.coarse, primal.system.copies, primal.operator, vectors)
+    return space, replace(system, deflation=space)
+
+
+def count_calls(monkeypatch, place, name, calls):
+    """Append the name of a function to a list at each of its calls."""
+    original = getattr(place, name)
+
+    def counted(*arguments, **keywords):
+        calls.append(name)
+        return original(*arguments, **keywords)
+
+    monkeypatch.setattr(place, name, counted)
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_iteration_waits_three_times(count, monkeypatch, torn_grid, form):
+    """Once in the coarse problem, and twice for scalar products, with Ritz vectors or without."""
+    primal = form(torn_grid(**GRID))
+    W = assembled(primal, 5)[:, :count]
+    _, system = deflated(primal, primal.system, RitzVectors(W, W))
+    f = random_part(primal.system.copies.size, seed=7)
+    calls = []
+    for module in (copies, deflation, recycling, collective):
+        count_calls(monkeypatch, module, "total_of", calls)
+    count_calls(monkeypatch, CoarseSolver, "solve", calls)
+    ends = []
+    for iterations in (2, 6):
+        calls.clear()
+        agree(len(iterate(system, f, rtol=1e-300, max_it=iterations)[2].R) == iterations)
+        ends.append(len(calls))
+    agree(ends[1] - ends[0] == 4 * 3, ends)
+
+
+@every_change
+@every_interior
+def test_start_and_projection(change, interior, torn_grid, form):
+    """Residuals are orthogonal to V and W from the start on, directions A-orthogonal to both."""
+    primal = form(torn_grid(change=change, **GRID), interior=interior)
+    W = assembled(primal, 5)
+    space, system = deflated(primal, primal.system, RitzVectors(W, W))
+    agree(space.count == 5)
+    δ = system.copies.delta
+    f = random_part(system.copies.size, seed=7)
+    b = system.copies.sum(f)
+    zero = np.zeros(system.copies.size)
+    r = system.residual(f, space.initial_guess(b))
+    small(np.abs(COMM.allreduce(W.T @ (δ * r))).max(), 1e-9 * system.norm(b))
+    z, _ = space.correct(assembled(primal, 6)[:, 5], zero)
+    Az = -system.residual(np.zeros_like(z), z)
+    small(np.abs(COMM.allreduce(W.T @ (δ * Az))).max(), 1e-9 * system.norm(Az) * np.abs(W).max())
+    equal(whole(space.correct(z, zero)[0]), whole(z), 1e-9)
+
+
+@every_change
+@pytest.mark.parametrize("first", [200, 7], ids=["all iterations", "a few"])
+def test_ritz_vectors(change, first, torn_grid, form):
+    """W = Π_V M Q, Wᵀ Q = I, and W diagonalises A; also where an earlier W was deflated."""
+    primal = form(torn_grid(change=change, **GRID), interior="eliminate")
+    slow = slowed(primal)
+    f = random_part(primal.system.copies.size, seed=7)
+    exact = np.linalg.eigvals(
+        matrix_of_map(lambda x: slow.precondition(-slow.residual(0.0 * x, x))[0], len(f))
+    ).real
+    exact = np.sort(exact[(1e-8 < exact) & (exact < MAX_RITZ_VALUE)])
+    agree(len(exact) >= FEW, exact)
+    vectors = None
+    system = slow
+    δ = primal.system.copies.delta
+    for max_count, stored in ((200 if first == 200 else 2, first), (200, 200)):
+        space, system = deflated(primal, slow, vectors)
+        basis = iterate(system, f, stored=stored, rtol=1e-7)[2]
+        vectors = recycled_vectors(space, basis, max_count=max_count)
+        W = vectors.W
+        Q = vectors.M_inverse_W
+        equal(COMM.allreduce(W.T @ (δ[:, None] * Q)), np.eye(W.shape[1]), SPOILT)
+        for w, q in zip(W.T, Q.T, strict=True):
+            equal(whole(slow.precondition(q)[0]), whole(w), SPOILT)
+        AW = np.column_stack([-slow.residual(0.0 * w, w) for w in W.T])
+        θ = COMM.allreduce(W.T @ (δ[:, None] * AW))
+        equal(θ, np.diag(np.diag(θ)), SPOILT)
+        agree(np.all(np.diag(θ) < MAX_RITZ_VALUE))
+    agree(W.shape[1] == len(exact) and np.all(np.diag(θ) > 0.99 * exact), (np.diag(θ), exact))
+
+
+def test_nothing_to_learn_from(torn_grid, form):
+    """A solve of no iteration leaves what it was given, and one that ends in NaN, too."""
+    primal = form(torn_grid(**GRID), interior="eliminate")
+    W = assembled(primal, 3)
+    n = primal.system.copies.size
+    for vectors in (None, RitzVectors(W, W)):
+        space, system = deflated(primal, primal.system, vectors)
+        for f in (np.zeros(n), np.full(n, np.nan)):
+            recycled = recycled_vectors(space, iterate(system, f)[2], max_count=20)
+            agree(recycled.W.shape == recycled.M_inverse_W.shape == (n, space.count))
+
+
+def test_dependent_directions(torn_grid, form):
+    """Directions that repeat others, or lie in V, change nothing."""
+    primal = form(torn_grid(change=SOFTENED, **GRID), interior="eliminate")
+    w = assembled(primal, 1)[:, 0]
+    f = random_part(primal.system.copies.size, seed=7)
+    v = primal.coarse.initial_guess(primal.system.copies.sum(f))  # in V
+    W = np.column_stack([w, -2.0 * w, v, np.zeros_like(w)])
+    space, system = deflated(primal, primal.system, RitzVectors(W, W))
+    agree(not space.is_indefinite)
+    (x, outcome, _) = iterate(system, f)
+    (expected, plain, _) = iterate(primal.system, f)
+    agree(outcome.reason > 0 and outcome.iterations <= plain.iterations + 2)
+    equal(whole(x), whole(expected), 1e-8)
+
+
+def test_negative_curvature(torn_grid, form):
+    """What W knows of an indefinite matrix ends a solve before its first iteration."""
+    problem = torn_grid((2, 2), (4, 4), components=2, change=softened(0.002))
+    primal = form(problem, interior="eliminate")
+    agree(primal.coarse.negative_eigenvalues == 0)
+    f = random_part(primal.system.copies.size)
+    exact = primal_form.reference(problem, primal)
+    last = COMM.scan(primal.system.copies.size)
+    p = (exact.T @ np.linalg.eigh(exact.A)[1][:, 0])[last - primal.system.copies.size : last]
+    W = np.column_stack([p, assembled(primal, 3)])
+    space, system = deflated(primal, primal.system, RitzVectors(W, W))
+    _, outcome, basis = iterate(system, f)
+    agree(outcome.reason == Reason.DIVERGED_INDEFINITE_MAT and outcome.iterations == 0)
+    agree(recycled_vectors(space, basis, max_count=20).W.shape == W.shape)
+
+
+@every_interior
+def test_soft_fields(interior, torn_grid, form):
+    """W = M Q, Q in the range of A V, Wᵀ Q = I; they raise the least eigenvalue."""
+    primal = form(torn_grid(**GRID, change=SOFTENED), interior=interior)
+    S = primal.operator
+    copies = primal.system.copies
+    system = primal.system
+    inverse = primal.preconditioner.inverse
+    found = soft_fields(primal.coarse, copies, S, inverse, count=FEW)
+    agree(found.W.shape == (copies.size, FEW))
+    equal(
+        COMM.allreduce(found.W.T @ (copies.delta[:, None] * found.M_inverse_W)), np.eye(FEW), 1e-8
+    )
+    for w, q in zip(found.W.T, found.M_inverse_W.T, strict=True):
+        off = np.abs(w - copies.average(system.solve_local(copies.delta * q))).max(initial=0.0)
+        small(off, 1e-8 * np.abs(whole(w)).max())
+        balanced = system.residual(q * copies.delta, primal.coarse.initial_guess(q))  # q − A V …
+        small(system.norm(balanced), 1e-6 * system.norm(q))
+    f = random_part(copies.size)
+    before, after = (iterate(deflated(primal, system, v)[1], f)[1] for v in (None, found))
+    agree(after.iterations <= before.iterations)
+    agree(after.ritz_values[0] >= before.ritz_values[0] * (1.0 - 1e-6))

@@ -1,0 +1,276 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The generalised inverse and the Schur complement of each subdomain, against dense algebra."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from cases import each, every_type
+from collective import COMM, agree, equal, raises, small, whole
+from hand_torn import scaled_diagonal
+from modes import modes_of
+
+from dolfinx_feti.errors import FactorError, SetUpError
+from dolfinx_feti.feti.setup import set_up, to_double_precision
+from dolfinx_feti.feti.subdomain import mode_search, scaled
+from dolfinx_feti.feti.subdomain.analysis import is_worth_eliminating
+from dolfinx_feti.feti.subdomain.factors import create
+from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
+
+SEED = 271104
+
+
+@pytest.fixture(autouse=True, params=["fronts", "pivots"])
+def way(request, monkeypatch):
+    """Subdomains are factored by fronts, or with pivots."""
+    if request.param == "pivots":
+        monkeypatch.setattr(create, "multifrontal_code", lambda *_: None)
+    return request.param
+
+
+@pytest.fixture
+def unenriched(monkeypatch):
+    """No buckling modes join the kernels."""
+    monkeypatch.setattr(mode_search, "MAX_BUCKLING_ROUNDS", 0)
+
+
+def prestress(sizes, seed=SEED):
+    """A change that adds symmetric matrices of these sizes, relative to K, to the subdomains."""
+
+    def change(K, dofs):
+        rng = np.random.default_rng(seed)
+        for K_i, size in zip(K, sizes, strict=True):
+            half = np.where(K_i != 0.0, rng.standard_normal(K_i.shape), 0.0)
+            K_i += size * np.abs(K_i).max() * (half + half.T)
+
+    return change
+
+
+CHANGES = {
+    "none": None,
+    "stiffening": scaled_diagonal(1.01),
+    "softening": scaled_diagonal(0.99),
+    "random": prestress((0.03, 0.0, -0.02, 0.04)),
+    "strong": prestress((0.3, 0.5, 0.2, 0.4)),
+    "tiny": prestress((1e-9, 1e-7, 1e-11, 0.0)),
+    "of one subdomain": prestress((0.0, 1e-5, 0.0, 0.0)),
+}
+
+
+def blocks(problem, system):
+    """Local matrices of this process on the free dofs."""
+    K = problem.K_torn
+    start = system.torn.first_torn_dof
+    return [K[np.ix_(start + S.dofs, start + S.dofs)] for S in system.inverse.blocks]
+
+
+@every_type
+@pytest.mark.parametrize(("components", "soft"), [(1, 0), (2, 0), (2, 12)])
+@each("change", CHANGES)
+def test_algebra_is_exact_for_any_matrix(
+    change, components, soft, kind, torn_grid, parts, unenriched
+):
+    """RᵀE = I − D/ρ, K E = R D, and K⁺ is the inverse of K + ρ R Rᵀ, whose inertia is counted."""
+    problem = torn_grid((2, 2), (2, 2), components=components, change=change)
+    system = parts(problem.A, type=kind, coarse_modes=soft, coarse_threshold=1.0)
+    found = modes_of(system)
+    agree((COMM.allreduce(sum(modes.soft_size for modes in system.modes)) > 0) == (soft > 0))
+    y = np.random.default_rng(SEED + 2).standard_normal(system.torn.n)
+    x = system.inverse.solve(y)
+    agree(not x[system.pattern.fixed].any())
+    errors = [0.0]
+    negative = 0
+    for K, K_i in zip(blocks(problem, system), system.inverse.blocks, strict=True):
+        dofs = K_i.dofs
+        R = np.hstack([K_i.modes.R, K_i.modes.Y])
+        E = K_i.modes.E
+        D = K_i.modes.D
+        rho = K_i.modes.rho
+        k = R.shape[1]
+        scale = np.abs(K).max()
+        K_ρ = K + rho * R @ R.T
+        errors += [
+            np.abs(R.T @ E - np.eye(k) + D / rho).max(initial=0.0),
+            np.abs(K @ E - R @ D).max(initial=0.0) / scale,
+            np.abs(K_ρ @ x[dofs] - y[dofs]).max() / np.abs(y).max(),
+            np.abs(D - D.T).max(initial=0.0) / rho,
+        ]
+        negative += np.count_nonzero(np.linalg.eigvalsh(K_ρ) < 0.0)
+    small(max(errors), 1e-10)
+    agree(system.inverse.negative() == negative, (system.inverse.negative(), negative))
+    for modes in system.modes:
+        agree(modes.is_exact == (np.abs(modes.D).max(initial=0.0) == 0.0))
+    if change is None and not soft:
+        agree(all(found.is_exact))
+    if change is CHANGES["of one subdomain"] and kind == "all_floating" and not soft:
+        equal(whole(np.array(found.is_exact)), [True, False, True, True])
+
+
+def crushed(K, dofs):
+    """One dof of each subdomain has a negative stiffness far larger than any other is."""
+    for K_i in K:
+        K_i[-1, -1] -= 30.0 * np.abs(K_i).max()
+
+
+@every_type
+@each("change", {"crushed": crushed, **{name: CHANGES[name] for name in ("softening", "random")}})
+def test_buckling_modes_join_the_kernel(change, kind, torn_grid, parts, monkeypatch):
+    """Enriched by its negative eigenvectors K_ρ is positive definite, and the algebra stays exact.
+
+    K E = R D means Eᵀ K E = D − D²/ρ with whatever columns R has got, and whatever ρ they need.
+    K + Z Zᵀ has no negative eigenvalue, K has.
+    """
+    problem = torn_grid((2, 2), (2, 2), components=2, change=change)
+    with monkeypatch.context() as patch:
+        patch.setattr(mode_search, "MAX_BUCKLING_ROUNDS", 0)
+        plain = parts(problem.A, type=kind)
+    system = parts(problem.A, type=kind)
+    found = modes_of(system)
+    total = whole(np.array([plain.inverse.negative(), system.inverse.negative()]))
+    agree(total[::2].any() == (change is not CHANGES["softening"]) and not total[1::2].any(), total)
+    wider = whole(found.dimensions) - whole(modes_of(plain).dimensions)
+    agree(wider.min() >= 0 and wider.sum() >= total[::2].sum(), wider)
+    errors = [0.0]
+    lowest = [np.inf]
+    stabilised = [np.inf]
+    for K, modes in zip(blocks(problem, system), system.modes, strict=True):
+        E = modes.E
+        D = modes.D
+        rho = modes.rho
+        Z = modes.stabilisation
+        scale = np.abs(K).max()
+        errors.append(np.abs(E.T @ K @ E - D + D @ D / rho).max(initial=0.0) / scale)
+        lowest.append(np.linalg.eigvalsh(K)[0] / scale)
+        stabilised.append(np.linalg.eigvalsh(K + Z @ Z.T)[0] / scale)
+    small(max(errors), 1e-10)
+    agree(min(stabilised) > -1e-13 and COMM.allreduce(min(lowest), op=min) < -1e-3, stabilised)
+    counted = COMM.allreduce(found.negative_defects)
+    exactly = (change, kind) == (CHANGES["softening"], "all_floating")
+    agree(counted == 12 if exactly else counted > 0, counted)
+
+
+def test_zero_pivot_of_buckling_modes_is_an_error(torn_grid, parts, monkeypatch):
+    """A solver that stops where they join the kernel has no factor of K_ρ, and says so."""
+    factor = scaled.ScaledMatrix.factor
+    width = {}
+
+    def stop(K, R, *more):
+        if R.shape[1] > width.setdefault(K.matrix.subdomain.number, R.shape[1]):
+            raise FactorError("a zero pivot")
+        return factor(K, R, *more)
+
+    monkeypatch.setattr(scaled.ScaledMatrix, "factor", stop)
+    problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES["random"])
+    with raises(SetUpError, "subdomain .*a zero pivot"):
+        parts(problem.A)
+
+
+def test_zero_pivot_found_by_a_solve_asks_for_null_vectors(torn_grid, parts, monkeypatch):
+    """As one in the factor; a regular subdomain has none."""
+    is_singular = scaled.is_numerically_singular
+    asked = set()
+
+    def stop(factor, d, *most):
+        if d.tobytes() not in asked:
+            asked.add(d.tobytes())
+            raise FactorError("a zero pivot")
+        return is_singular(factor, d, *most)
+
+    monkeypatch.setattr(scaled, "is_numerically_singular", stop)
+    found = modes_of(parts(torn_grid((2, 2), (2, 2), components=2).A))
+    agree(all(found.is_exact) and bool(asked) == bool(found.is_exact))
+
+
+@pytest.mark.parametrize("stiff", [0.0, 1e9], ids=["even", "stiff"])
+def test_rough_factors_only_where_they_precondition(stiff, torn_grid, pattern, lifetime):
+    """Single precision, but double where a stiff tie would have it round the rest away."""
+
+    def tie(K, dofs):
+        for K_i in K:
+            K_i[:2, :2] += stiff * np.abs(K_i).max() * np.array([[1.0, -1.0], [-1.0, 1.0]])
+
+    problem = torn_grid((2, 2), (2, 2), components=2, change=tie)
+    read = pattern(problem.A, interior="eliminate")
+    rough = set_up(read, lifetime, lifetime, allow_single_precision=True)
+    single = {K_i.factor.is_single_precision for K_i in rough.inverse.blocks}
+    agree(single <= {not stiff}, single)
+    y = np.random.default_rng(SEED + 5).standard_normal(read.torn.n)
+    approximate = rough.inverse.solve(y)
+    fine = to_double_precision(read, rough, lifetime)
+    agree(not any(K_i.factor.is_single_precision for K_i in fine.inverse.blocks))
+    agree(to_double_precision(read, fine, lifetime) is fine)
+    exact = fine.inverse.solve(y)
+    small(np.abs(approximate - exact).max(initial=0.0) / np.abs(exact).max(initial=1.0), 1e-4)
+
+
+# ---- the Schur complement -------------------------------------------------------------------
+
+INDEFINITE = scaled_diagonal(0.5)
+DIAGONAL = ("none", "stiffening", "softening")
+
+
+def complement(K, Γ):
+    I = np.setdiff1d(np.arange(len(K)), Γ)  # noqa: E741
+    return K[np.ix_(Γ, Γ)] - K[np.ix_(Γ, I)] @ np.linalg.solve(K[np.ix_(I, I)], K[np.ix_(I, Γ)])
+
+
+@every_type
+@each("change", {"indefinite": INDEFINITE, **{name: CHANGES[name] for name in DIAGONAL}})
+def test_elimination_is_exact(kind, change, way, torn_grid, parts):
+    """S by all ways, S u_Γ = f̂ with K u = f inside, and the inertia of K_II."""
+    problem = torn_grid((2, 2), (6, 5), components=2, change=change)
+    system = parts(problem.A, type=kind, interior="eliminate")
+    torn = system.torn
+    operator = system.operator
+    fixed = system.pattern.fixed
+    fronts = [isinstance(S.interior_factor, FrontFactor) for S in operator.blocks]
+    agree(not any(fronts) if way == "pivots" or change is INDEFINITE else all(fronts))
+    K = problem.K_torn[
+        torn.first_torn_dof : torn.first_torn_dof + torn.n,
+        torn.first_torn_dof : torn.first_torn_dof + torn.n,
+    ]
+    f = np.where(fixed, 0.0, np.random.default_rng(SEED).standard_normal(torn.n))
+    condensed = operator.interface_load(f)
+    errors = [0.0]
+    negative = 0
+    for S_i in operator.blocks:
+        Γ = S_i.subdomain.interface
+        free = S_i.subdomain.free_dofs
+        inside = np.setdiff1d(free, Γ)
+        negative += np.count_nonzero(np.linalg.eigvalsh(K[np.ix_(inside, inside)]) < 0.0)
+        S = complement(K[np.ix_(free, free)], np.searchsorted(free, Γ))
+        t = np.zeros(torn.n)
+        t[Γ] = np.random.default_rng(SEED + 1).standard_normal(len(Γ))
+        errors.append(np.abs(operator.multiply(t)[Γ] - S @ t[Γ]).max() / np.abs(S).max())
+        u = operator.extend(t, f)
+        errors.append(np.abs(u[Γ] - t[Γ]).max())
+        errors.append(np.abs(torn.multiply(u)[inside] - f[inside]).max(initial=0.0))
+        reaction = torn.multiply(u)[Γ] - f[Γ]
+        errors.append(np.abs(S @ t[Γ] - condensed[Γ] - reaction).max() / np.abs(S).max())
+    small(max(errors), 1e-10 if change is INDEFINITE else 1e-11)
+    agree(operator.negative_interior() == negative and (negative > 0) == (change is INDEFINITE))
+    agree(
+        np.all(
+            condensed[np.setdiff1d(np.arange(torn.n), np.concatenate(operator.interfaces))] == 0.0
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("n", "on_interface", "condensed", "worth"),
+    [
+        (45, 42, False, True),
+        (3300, 950, False, True),
+        (1300, 700, False, False),
+        (1300, 700, True, True),
+        (8900, 2300, True, False),
+    ],
+    ids=["small", "part of a thin wall", "compact", "compact, with a pressure", "large"],
+)
+def test_choice(n, on_interface, condensed, worth):
+    """Dense blocks for thin walls, small subdomains, and condensed pressures; not if too large."""
+    subdomain = SimpleNamespace(free_dofs=np.arange(n), interface=np.arange(on_interface))
+    torn = SimpleNamespace(comm=COMM, pressures=object() if condensed else None)
+    agree(is_worth_eliminating(torn, [subdomain] * 2) == worth)

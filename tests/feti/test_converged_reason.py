@@ -1,0 +1,154 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""The table of converged reasons, case by case, and the limit of iterations by digits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+
+from dolfinx_feti.feti.converged_reason import (
+    MAX_ROUNDING_SHARE,
+    composed_outcome,
+    converged_reason,
+)
+from dolfinx_feti.feti.solve_info import Accuracy, KrylovInfo, SolveInfo
+from dolfinx_feti.feti.solve_settings import LooseError, SolveSettings, Tolerances
+
+Reason = PETSc.KSP.ConvergedReason
+
+pytestmark = pytest.mark.serial
+
+SMALL = MAX_ROUNDING_SHARE / 10.0
+LARGE = MAX_ROUNDING_SHARE * 10.0
+
+CONVERGED = KrylovInfo(Reason.CONVERGED_RTOL)
+UNFINISHED = KrylovInfo(Reason.ITERATING, needs_fresh_start=True)
+FAILED = KrylovInfo(Reason.DIVERGED_MAX_IT)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A state of the solution, and the reason that follows.
+
+    Attributes:
+        last: How the last start ended.
+        accuracy: What was measured; the residual is finite in all cases but one.
+        reason: The converged reason.
+        meets_tolerances: Whether both tolerances are met.
+        has_krylov_tolerance: Whether the user's tolerance ends the dual Krylov method.
+    """
+
+    last: KrylovInfo
+    accuracy: Accuracy
+    reason: int
+    meets_tolerances: bool = False
+    has_krylov_tolerance: bool = False
+
+
+def measured(**floors: float) -> Accuracy:
+    """Return what was measured of a solution with a finite residual."""
+    return Accuracy(residual=1e-5, error_estimate=1e-4, **floors)
+
+
+CASES = {
+    "residual not finite": Case(CONVERGED, Accuracy(residual=np.inf), Reason.DIVERGED_NANORINF),
+    "tolerances met": Case(CONVERGED, measured(), Reason.CONVERGED_RTOL, meets_tolerances=True),
+    "tolerances met by a failed start": Case(
+        FAILED, measured(), Reason.CONVERGED_RTOL, meets_tolerances=True
+    ),
+    "little rounding in the residual": Case(
+        CONVERGED, measured(residual_floor=SMALL), Reason.CONVERGED_HAPPY_BREAKDOWN
+    ),
+    "much rounding in the residual": Case(
+        CONVERGED, measured(residual_floor=LARGE), Reason.DIVERGED_BREAKDOWN
+    ),
+    "little rounding in the error": Case(
+        CONVERGED, measured(error_floor=SMALL), Reason.CONVERGED_HAPPY_BREAKDOWN
+    ),
+    "much rounding in the error": Case(
+        CONVERGED, measured(error_floor=LARGE), Reason.DIVERGED_BREAKDOWN
+    ),
+    "much rounding in the error of a tiny component": Case(
+        CONVERGED,
+        measured(error_floor=LARGE, total_error_estimate=SMALL),
+        Reason.CONVERGED_HAPPY_BREAKDOWN,
+    ),
+    "little in the error, much in the residual": Case(
+        CONVERGED, measured(error_floor=SMALL, residual_floor=LARGE), Reason.DIVERGED_BREAKDOWN
+    ),
+    "user's test, converged": Case(
+        CONVERGED, measured(), Reason.CONVERGED_RTOL, has_krylov_tolerance=True
+    ),
+    "user's test, failed": Case(
+        FAILED, measured(), Reason.DIVERGED_MAX_IT, has_krylov_tolerance=True
+    ),
+    "user's test, no fresh start": Case(
+        UNFINISHED, measured(), Reason.CONVERGED_ITS, has_krylov_tolerance=True
+    ),
+    "last start failed": Case(FAILED, measured(), Reason.DIVERGED_MAX_IT),
+    "fresh starts gain nothing": Case(UNFINISHED, measured(), Reason.DIVERGED_BREAKDOWN),
+    "converged, but η is too large": Case(CONVERGED, measured(), Reason.DIVERGED_BREAKDOWN),
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_reason_of_each_case(case):
+    reason = converged_reason(
+        case.last,
+        case.accuracy,
+        meets_tolerances=case.meets_tolerances,
+        has_krylov_tolerance=case.has_krylov_tolerance,
+    )
+    assert reason == case.reason
+
+
+@pytest.mark.parametrize(
+    ("error_estimate", "reason"),
+    [
+        (np.nan, Reason.CONVERGED_RTOL),
+        (1e-9, Reason.CONVERGED_RTOL),
+        (SMALL, Reason.CONVERGED_HAPPY_BREAKDOWN),
+        (LARGE, Reason.DIVERGED_BREAKDOWN),
+    ],
+)
+def test_outcome_of_a_composed_solution(error_estimate, reason):
+    """Above its tolerance, η is what rounding leaves; a large one is a failure with a message."""
+    info = composed_outcome(SolveInfo(Reason.CONVERGED_RTOL), error_estimate, 1e-8)
+    is_rounding = error_estimate > 1e-8
+    assert info.reason == reason
+    assert bool(info.message) == (reason < 0)
+    assert np.array_equal(info.accuracy.error_estimate, error_estimate, equal_nan=True)
+    assert np.isfinite(info.accuracy.error_floor) == is_rounding
+
+
+@pytest.mark.parametrize(
+    ("rtol", "rate", "limit"),
+    [
+        (1e-8, np.inf, 100),  # a new preconditioner
+        (np.nan, 3.0, 100),  # no load
+        (1e-8, 3.0, 24),
+        (0.5, 3.0, 3),  # a digit at least
+        (1e-30, 3.0, 39),  # 13 digits at most
+        (1e-8, 30.0, 100),
+    ],
+)
+def test_iterations_by_digits(rtol, rate, limit):
+    assert Tolerances(1e-8, 0.0, 100, rate).iteration_limit(rtol) == limit
+
+
+def test_loose_error_meets_its_tolerance():
+    """An error of the allowed size has η at the tolerance for x = 0, and less for any other x."""
+    allowed = np.array([3e-4, 4e-4])
+    settings = SolveSettings(loose_error=LooseError(1e-3, allowed))
+    tolerance, reference = settings.loosen(1e-8, 2)
+    assert tolerance == 1e-3
+    assert np.isclose(np.linalg.norm(allowed) / np.linalg.norm(reference), tolerance, rtol=1e-14)
+    strict, none = SolveSettings().loosen(1e-8, 2)
+    assert strict == 1e-8
+    assert not none.any()

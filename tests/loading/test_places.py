@@ -1,0 +1,89 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Loads and times that are one number but for rounding: no step is taken between them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from collective import COMM, agree, equal, raises
+from played import ROUNDING, truth
+
+from dolfinx_feti.loading import Checkpoint, Steps
+from dolfinx_feti.loading.places import PlaceTolerance, check_places
+
+STEPS = Steps(first=0.1, least=1e-3, growth=1.0)
+
+#: Ten thousand steps of 0.1, added one by one: 1.6e-10 off 1000.
+SUM = float(np.cumsum(np.full(10_000, 0.1))[-1])
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "largest", "least", "expected"),
+    [
+        pytest.param(0.3, 3 * 0.1, 1.0, 1e-3, True, id="product"),
+        pytest.param(1000.0, SUM, 1000.0, 1e-3, True, id="sum-of-10000"),
+        pytest.param(0.0, 3 * 0.1 - 0.3, 0.3, 1e-3, True, id="difference"),
+        pytest.param(-0.3, -3 * 0.1, 1.0, 1e-3, True, id="negative"),
+        pytest.param(3e8, 3e9 * 0.1, 1e9, 1e6, True, id="large-unit"),
+        pytest.param(0.3, 3 * 0.1, 1.0, 1e-12, True, id="small-least"),
+        pytest.param(0.9, 0.9 + 1e-9, 1.0, 1e-2, False, id="honest"),
+        pytest.param(0.0, 1e-8, 1e6, 1e-3, False, id="decades"),
+        pytest.param(1e6, 1e6 + 1e-7, 1e6, 1e-9, False, id="longer-than-least"),
+        pytest.param(0.3, -0.3, 1.0, 1.0, False, id="sign"),
+    ],
+)
+def test_same_place(a, b, largest, least, expected):
+    tolerance = PlaceTolerance(largest, least)
+    assert tolerance.are_equal(a, b) == tolerance.are_equal(b, a) == expected, abs(a - b)
+
+
+def test_what_turns_back_by_rounding_alone_does_not():
+    tolerance = PlaceTolerance(0.6, 1e-3)
+    assert tolerance.without_repeats(0.0, [3 * 0.1, 0.3, 0.6]) == [3 * 0.1, 0.6]
+    assert tolerance.without_repeats(3 * 0.1, [0.3, 0.6]) == [0.6]
+    check_places(0.0, [3 * 0.1, 0.3, 0.6], 1e-3, unloading=False)
+    check_places(3 * 0.1, [0.3, 0.6], 1e-3, unloading=False)
+    with raises(ValueError, "the load turns back"):
+        check_places(0.0, [0.3 + 1e-9, 0.3], 1e-3, unloading=False)
+
+
+@pytest.mark.parametrize(
+    ("targets", "unloading"),
+    [
+        pytest.param([0.3, 3 * 0.1, 0.6, 6 * 0.1, 0.7, 7 * 0.1, 1.0], False, id="up"),
+        pytest.param([3 * 0.1, 0.3, 1.0], False, id="first-is-larger"),
+        pytest.param([0.3, 3 * 0.1, 0.1, 0.3, 3 * 0.1], True, id="up-and-down"),
+    ],
+)
+def test_a_path_takes_no_step_between_them(played, targets, unloading):
+    problem = played()
+    steps = problem.follow(targets, STEPS, unloading=unloading)
+    shortest = min(abs(step.increment) for step in steps)
+    agree(shortest > 0.05, f"the shortest step is {shortest}")
+    places = iter([step.load for step in steps])
+    last = None
+    for target in targets:
+        if last is not None and abs(target - last) < 1e-15:
+            continue
+        agree(any(abs(place - target) < 1e-15 for place in places), f"{target} is not met in order")
+        last = target
+    equal(problem.state(), truth(targets[-1]), ROUNDING)
+
+
+def test_a_path_that_begins_at_its_first_target(played):
+    problem = played(start=0.1 + 0.2)
+    agree(problem.follow([0.3], STEPS) == [] and not problem.attempts, problem.attempts)
+
+
+def test_a_target_that_was_met_before_a_restart(played, tmp_path):
+    """It is known again, whatever rounding made of it."""
+    first = played()
+    first.follow([0.3], STEPS, checkpoint=Checkpoint(tmp_path, COMM))
+    second = played()
+    steps = second.follow(
+        [3 * 0.1, 0.6], STEPS, checkpoint=Checkpoint(tmp_path, COMM, restart=True)
+    )
+    agree(np.allclose([step.load for step in steps], np.arange(1, 7) / 10), steps)
+    agree(len(second.attempts) == 3, f"{len(second.attempts)} attempts for 3")

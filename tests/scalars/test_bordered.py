@@ -1,0 +1,209 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Bordered systems against a dense solve: regular, indefinite, nearly singular and singular A."""
+
+from petsc4py import PETSc
+
+import numpy as np
+import pytest
+import scipy.linalg
+from cases import case
+from collective import agree, equal, small, whole
+from hand_torn import softened
+
+from dolfinx_feti import FETI
+from dolfinx_feti.scalars.border import Border
+from dolfinx_feti.scalars.bordered import BorderedSolver
+
+Reason = PETSc.KSP.ConvergedReason
+GRID = case((3, 2), (3, 3), 2)
+forms = pytest.mark.parametrize("form", ["dual", "primal", "auto"])
+RTOL = 1e-10
+
+
+def border(problem, m=2, *, symmetric=True, units=1.0, seed=3):
+    """Smooth columns without Dirichlet rows, whole."""
+    x = problem.x
+    bs = len(problem.dirichlet) // len(problem.x)
+    waves = np.random.default_rng(seed).standard_normal((m, bs, x.shape[1] + 1))
+    columns = [np.sin(x @ w[:, :-1].T / 3 + w[:, -1]).ravel() for w in waves]
+    B = np.column_stack(columns) * units ** np.arange(m)
+    C = B if symmetric else B[:, ::-1] + 0.2
+    return np.where(problem.dirichlet[:, None], 0.0, B), C, np.zeros((m, m))
+
+
+def dense_solve(problem, b, B, C, D, d):
+    """Solve the assembled bordered system; prescribed values are in b."""
+    n = len(b)
+    held = problem.dirichlet[:, None]
+    M = np.block([[np.where(held, np.eye(n), problem.matrix), B], [C.T, D]])
+    columns = 1 / np.linalg.norm(M, axis=0)
+    rows = 1 / np.linalg.norm(M * columns, axis=1)
+    z = columns * np.linalg.solve(rows[:, None] * M * columns, rows * np.concatenate([b, d]))
+    return z[:n], z[n:]
+
+
+def bordered(problem, ksp, b, B, C, D, d, solver=None):
+    rows = slice(*problem.A.getOwnershipRange())
+    solver = solver or BorderedSolver()
+    x, s = solver.solve(ksp, problem.A, b[rows], Border(B[rows], C[rows], D), d)
+    return whole(x), s, solver
+
+
+def check(problem, ksp, system, tolerance=1e-6):
+    x, s, solver = bordered(problem, ksp, *system)
+    message = ksp.getPythonContext().message
+    agree(ksp.getConvergedReason() > 0, message)
+    x_0, s_0 = dense_solve(problem, *system)
+    equal(x, x_0, tolerance)
+    small(np.abs(s / s_0 - 1.0).max(), tolerance)
+    return solver
+
+
+@forms
+@pytest.mark.parametrize("symmetric", [True, False])
+@pytest.mark.parametrize("units", [1.0, 1e6, 1e-9])
+def test_regular_matrix(form, symmetric, units, torn_grid, feti):
+    """Columns in units that differ by many orders, prescribed values, a corner."""
+    problem = torn_grid(**GRID)
+    B, C, D = border(problem, symmetric=symmetric, units=units)
+    rng = np.random.default_rng(1)
+    b = rng.standard_normal(len(B))
+    d = rng.standard_normal(2) * units ** np.arange(2)
+    D = D - 1e-3 * np.diag(units ** (2.0 * np.arange(2)))
+    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    check(problem, ksp, (b, B, C, D, d))
+
+
+@forms
+def test_one_negative_eigenvalue(form, torn_grid, feti):
+    """A is indefinite, and the bordered matrix as regular as ever: a branch past a limit point."""
+    problem = torn_grid(change=softened(0.008), **GRID)
+    agree(problem.negative == 1)
+    b = np.random.default_rng(1).standard_normal(len(problem.dirichlet))
+    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    check(problem, ksp, (b, *border(problem), np.array([0.3, -0.2])))
+    if form == "primal":
+        agree(ksp.getPythonContext().method == "cg")
+
+
+@forms
+@pytest.mark.parametrize("distance", [1e-4, 1e-8, -1e-6])
+def test_nearly_singular(form, distance, torn_grid, feti):
+    """At a limit point: the smallest eigenvalue of A is any distance from zero."""
+    problem = torn_grid(**GRID)
+    copies = problem.T.sum(axis=0)[~problem.dirichlet]
+    least = scipy.linalg.eigh(problem.free_matrix, np.diag(copies), eigvals_only=True)[0]
+
+    def soften(K, dofs):
+        for K_i in K:
+            K_i -= (1.0 - distance) * least * np.eye(len(K_i))
+
+    problem = torn_grid(change=soften, **GRID)
+    rng = np.random.default_rng(1)
+    system = (rng.standard_normal(len(problem.dirichlet)), *border(problem, 1), np.array([0.3]))
+    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    check(problem, ksp, system, 1e-5)
+
+
+@forms
+@pytest.mark.parametrize("rolls", [False, True])
+@pytest.mark.parametrize("grid", [(3, 2), (1, 1)], ids=["", "processes without dofs"])
+def test_floating_body(grid, form, rolls, torn_grid, feti):
+    """No condition, or one on a component; mean values and a rotation fix the rest."""
+
+    def fixed(x):
+        mask = np.zeros((len(x), 2), dtype=bool)
+        mask[:, 0] = rolls & (x[:, 0] == 0.0)
+        return mask
+
+    problem = torn_grid(fixed=fixed, **{**GRID, "subdomains": grid})
+    modes = problem.modes[:, 1:2] if rolls else problem.modes
+    B = np.where(problem.dirichlet[:, None], 0.0, modes)
+    m = B.shape[1]
+    rng = np.random.default_rng(1)
+    system = (rng.standard_normal(len(B)), B, modes, np.zeros((m, m)), rng.standard_normal(m))
+    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    check(problem, ksp, system)
+
+
+@forms
+def test_springs_are_there_once_and_during_a_solve_alone(form, torn_grid, feti):
+    """Whatever a caller adds to the diagonal between two solves, as Newton's shifts do."""
+    problem = torn_grid(fixed=lambda x: np.zeros(len(x), dtype=bool), **GRID)
+    rng = np.random.default_rng(1)
+    n, m = problem.modes.shape
+    loads = problem.modes, problem.modes, np.zeros((m, m)), rng.standard_normal(m)
+    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    solver = BorderedSolver()
+    K = problem.local
+
+    def diagonal():
+        d = K.getDiagonal()
+        values = d.array_r.copy()
+        d.destroy()
+        return values
+
+    seen = []
+    first = None
+    ksp.setMonitor(lambda _ksp, its, rnorm: seen.append(diagonal()))
+    unit = np.median(np.abs(diagonal())) if len(diagonal()) else 1.0
+    for shift in (0.0, 1e-3, 4e-3, -2e-3):
+        K.shift(shift * unit)
+        assembled = diagonal()
+        bordered(problem, ksp, rng.standard_normal(n), *loads, solver)
+        agree(ksp.getConvergedReason() > 0, ksp.getPythonContext().message)
+        equal(diagonal(), assembled)
+        added = np.array(seen) - assembled
+        springs = whole(np.median(added, axis=0))
+        agree(np.count_nonzero(springs) == m, f"{np.count_nonzero(springs)} springs, not {m}")
+        small(np.abs(added - np.median(added, axis=0)).max(initial=0.0), 1e-12 * unit)
+        first = springs if first is None else first
+        equal(springs, first, 1e-12)
+        seen.clear()
+
+
+def test_a_matrix_that_has_not_changed_is_set_up_once(torn_grid, feti):
+    """Springs come and go, but a second right-hand side finds the matrix of the first one."""
+    problem = torn_grid(fixed=lambda x: np.zeros(len(x), dtype=bool), **GRID)
+    rng = np.random.default_rng(1)
+    n, m = problem.modes.shape
+    ksp = feti(problem.A, ksp_rtol=RTOL)
+    solver = BorderedSolver()
+    made = []
+    for _ in range(3):
+        loads = problem.modes, problem.modes, np.zeros((m, m)), rng.standard_normal(m)
+        bordered(problem, ksp, rng.standard_normal(n), *loads, solver)
+        made.append(ksp.getPythonContext().formulation)
+    agree(made[0] is made[1] is made[2])
+    problem.local.scale(2.0)
+    bordered(problem, ksp, rng.standard_normal(n), *loads, solver)
+    agree(ksp.getPythonContext().formulation is not made[0])
+
+
+def test_last_solution_serves_the_next_matrix(torn_grid, feti):
+    """The second system differs a little: its further right-hand sides take few iterations."""
+    problem = torn_grid(**GRID)
+    rng = np.random.default_rng(1)
+    b = rng.standard_normal(len(problem.dirichlet))
+    d = np.array([0.3, 0.2])
+    ksp = feti(problem.A, FETI(newton=True), ksp_rtol=1e-8)
+    B, C, D = border(problem)
+    _, _, solver = bordered(problem, ksp, b, B, C, D, d)
+    first = solver.iterations
+    problem.local.scale(1.0 + 1e-4)
+    bordered(problem, ksp, b, B, C, D, d, solver)
+    agree(solver.iterations < 0.85 * first, (solver.iterations, first))
+
+
+@pytest.mark.parametrize("kind", ["twice", "nothing"])
+def test_dependent_constraints(kind, torn_grid, feti):
+    problem = torn_grid(**GRID)
+    B, _, D = border(problem)
+    B[:, 1] = B[:, 0] if kind == "twice" else 0.0
+    b = np.random.default_rng(1).standard_normal(len(B))
+    ksp = feti(problem.A, ksp_rtol=RTOL)
+    bordered(problem, ksp, b, B, B.copy(), D, np.array([0.3, 0.2]))
+    agree(ksp.getConvergedReason() == Reason.DIVERGED_BREAKDOWN)
+    agree("depend on each other" in ksp.getPythonContext().message)
