@@ -39,7 +39,7 @@ from dolfinx_feti.feti.setup import (
     set_up_operator,
     to_double_precision,
 )
-from dolfinx_feti.feti.solve_info import RitzVectors, SolveInfo
+from dolfinx_feti.feti.solve_info import DeflationVectors, SolveInfo
 from dolfinx_feti.feti.subdomain.failures import on_subdomains
 from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
 from dolfinx_feti.feti.subsolver_options import SubsolverOptions
@@ -82,7 +82,7 @@ class SolverCache:
         self._pattern: Pattern | None = None
         self._state: State | None = None  # of the matrix that pattern and formulation belong to
         self.formulation: Formulation | None = None
-        self._ritz_vectors: RitzVectors | None = None
+        self._ritz_vectors: DeflationVectors | None = None
         self._is_invalid = False  # whether the next matrix needs a new preconditioner
         self.age = 0
         self.pattern_number = 0

@@ -79,7 +79,7 @@ class Formulation(Protocol):
         """
 
     @property
-    def ritz_vector_count(self) -> int:
+    def deflation_count(self) -> int:
         """Number of vectors W that deflate the solves (primal): Ritz vectors, or soft fields.
 
         A first solve, without Ritz vectors of an earlier one, is deflated by soft fields.

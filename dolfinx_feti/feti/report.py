@@ -126,7 +126,7 @@ def collect(formulation: Formulation, info: SolveInfo, *, age: int) -> Report:
         coarse_mib=solver.memory(),
         coarse_inertia=solver.inertia(),
         factor_mib=comm.allreduce(formulation.memory()),
-        ritz_vectors=formulation.ritz_vector_count,
+        ritz_vectors=formulation.deflation_count,
         ritz_vectors_mib=comm.allreduce(formulation.deflation_memory()),
         eigenvalues=info.ritz_values,
         residual=info.accuracy.residual,

@@ -29,12 +29,14 @@ NO_RITZ_VALUES = (np.nan, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
-class RitzVectors:
-    """Ritz vectors of a solve in the primal form, by copies of the interface dofs.
+class DeflationVectors:
+    """Vectors by which solves in the primal form are deflated, by copies of the interface dofs.
+
+    They are Ritz vectors of an earlier solve, or soft fields before the first one.
 
     Attributes:
-        W: Ritz vectors, (n_Γ, k).
-        M_inverse_W: M⁻¹ W, with the M of the solves that W came from, (n_Γ, k).
+        W: The vectors, (n_Γ, k).
+        M_inverse_W: M⁻¹ W, with the M for which W was computed, (n_Γ, k).
     """
 
     W: Array
@@ -74,7 +76,7 @@ class KrylovInfo:
     iterations: int = 0
     ritz_values: tuple[float, float] = NO_RITZ_VALUES
     needs_fresh_start: bool = False
-    ritz_vectors: RitzVectors | None = None
+    ritz_vectors: DeflationVectors | None = None
     measured_error: MeasuredError | None = None
 
 
@@ -117,5 +119,5 @@ class SolveInfo:
     iterations: int = 0
     accuracy: Accuracy = Accuracy()
     ritz_values: tuple[float, float] = NO_RITZ_VALUES
-    ritz_vectors: RitzVectors | None = None
+    ritz_vectors: DeflationVectors | None = None
     message: str = ""

@@ -68,7 +68,7 @@ class DualFormulation:
         name: Value of the option ``feti_formulation``.
         solves_indefinite: True: GMRES solves with an indefinite matrix.
         measures_error: False: the caller tests the estimated error of the solution.
-        ritz_vector_count: Number of Ritz vectors: 0.
+        deflation_count: 0: no vectors deflate the solves.
     """
 
     pattern: Pattern
@@ -84,7 +84,7 @@ class DualFormulation:
     name = "dual"
     solves_indefinite = True
     measures_error = False
-    ritz_vector_count = 0
+    deflation_count = 0
 
     @property
     def torn(self) -> Torn:

@@ -21,7 +21,7 @@ import numpy as np
 from dolfinx_feti.feti.coarse.primal_problem import PrimalCoarseProblem
 from dolfinx_feti.feti.coarse.rounding import NEGATIVE_ENERGY_MARGIN, energy_rounding
 from dolfinx_feti.feti.interface.copies import Copies
-from dolfinx_feti.feti.solve_info import RitzVectors
+from dolfinx_feti.feti.solve_info import DeflationVectors
 from dolfinx_feti.feti.subdomain.failures import on_subdomains
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalise
 from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
@@ -122,7 +122,7 @@ def create_deflation_space(
     coarse: PrimalCoarseProblem,
     copies: Copies,
     S: SchurOperator,
-    vectors: RitzVectors | None,
+    vectors: DeflationVectors | None,
     *,
     symmetric: bool = True,
 ) -> DeflationSpace:
@@ -140,7 +140,7 @@ def create_deflation_space(
     comm = copies.comm
     with event("FETIRecycling"):
         if vectors is None:
-            vectors = RitzVectors(np.zeros((copies.size, 0)), np.zeros((copies.size, 0)))
+            vectors = DeflationVectors(np.zeros((copies.size, 0)), np.zeros((copies.size, 0)))
         W = _balanced(coarse, copies, S, vectors.W)
         B = _combinations_outside_V(copies, vectors.W, W)
         W = W @ B

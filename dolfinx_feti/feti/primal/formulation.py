@@ -47,7 +47,7 @@ from dolfinx_feti.feti.regularity.detection import (
     require_supported,
 )
 from dolfinx_feti.feti.setup import Inertia, require_regular_interior_blocks, sum_if_known
-from dolfinx_feti.feti.solve_info import KrylovInfo, MeasuredError, RitzVectors
+from dolfinx_feti.feti.solve_info import KrylovInfo, MeasuredError, DeflationVectors
 from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
@@ -109,7 +109,7 @@ class PrimalFormulation:
         return self.preconditioner.inverse.modes
 
     @property
-    def ritz_vector_count(self) -> int:
+    def deflation_count(self) -> int:
         """Number of vectors W by which solves are deflated."""
         return self.deflation.count
 
@@ -266,7 +266,7 @@ def create_primal_formulation(
     S: SchurOperator,
     preconditioner: PrimalPreconditioner,
     within: Lifetime,
-    vectors: RitzVectors | None = None,
+    vectors: DeflationVectors | None = None,
     *,
     max_ritz_vectors: int = 0,
 ) -> PrimalFormulation:
@@ -348,7 +348,7 @@ def _first_vectors(
     S: SchurOperator,
     preconditioner: PrimalPreconditioner,
     coarse: PrimalCoarseProblem,
-) -> RitzVectors | None:
+) -> DeflationVectors | None:
     """Return soft fields for a solve without Ritz vectors of an earlier one. Collective.
 
     Without stress that softens a subdomain, the preconditioned operator has no eigenvalues below

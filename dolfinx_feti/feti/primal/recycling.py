@@ -38,7 +38,7 @@ from dolfinx_feti.feti.coarse.primal_problem import PrimalCoarseProblem
 from dolfinx_feti.feti.interface.copies import Copies
 from dolfinx_feti.feti.primal.deflation import MIN_INDEPENDENT_ENERGY, DeflationSpace
 from dolfinx_feti.feti.primal.krylov.base import KrylovBasis
-from dolfinx_feti.feti.solve_info import RitzVectors
+from dolfinx_feti.feti.solve_info import DeflationVectors
 from dolfinx_feti.feti.subdomain.failures import on_subdomains
 from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
 from dolfinx_feti.feti.subdomain.orthonormal import diagonalise, symmetric_part
@@ -67,7 +67,7 @@ INVERSE_STEPS = 2
 MIN_INDEPENDENT_SQUARE = 1e-10
 
 
-def recycled_vectors(space: DeflationSpace, basis: KrylovBasis, *, max_count: int) -> RitzVectors:
+def recycled_vectors(space: DeflationSpace, basis: KrylovBasis, *, max_count: int) -> DeflationVectors:
     """Return the Ritz vectors of a solve, by which later solves are deflated. Collective.
 
     Args:
@@ -79,7 +79,7 @@ def recycled_vectors(space: DeflationSpace, basis: KrylovBasis, *, max_count: in
         The Ritz vectors with values below ``MAX_RITZ_VALUE``, in ascending order of their values.
         If the basis is empty or has entries that are not finite, the W of the solve.
     """
-    unchanged = RitzVectors(space.W, space.M_inverse_W)
+    unchanged = DeflationVectors(space.W, space.M_inverse_W)
     k = len(basis.Z)
     if k == 0:
         return unchanged
@@ -97,7 +97,7 @@ def recycled_vectors(space: DeflationSpace, basis: KrylovBasis, *, max_count: in
     ritz_vectors = W @ y_W + Z @ y_Z
     # M⁻¹ (W y_W + Z y_Z), with M⁻¹ Z = R + (M⁻¹ W) Wᵀ M⁻¹ Z
     M_inverse_ritz_vectors = M_inverse_W @ (y_W + WZ @ y_Z) + R[:, :k] @ y_Z
-    return RitzVectors(np.asfortranarray(ritz_vectors), np.asfortranarray(M_inverse_ritz_vectors))
+    return DeflationVectors(np.asfortranarray(ritz_vectors), np.asfortranarray(M_inverse_ritz_vectors))
 
 
 def _smallest_ritz_vectors(
@@ -135,7 +135,7 @@ def soft_fields(
     inverse: GeneralizedInverse,
     *,
     count: int,
-) -> RitzVectors:
+) -> DeflationVectors:
     """Compute the fields of V of smallest energy, corrected: W = M A V c. Collective.
 
     The first solve of the demo's artery at its pressure takes 47 iterations with these fields, and
@@ -160,7 +160,7 @@ def soft_fields(
     Y = on_subdomains(lambda: inverse.solve_on_interface(δ * AX), comm)
     W = _by_column(copies.average, Y, copies.size)  # W = M A V c
     B = _unit_combinations(total_of(W.T @ (δ * AX), comm), comm)  # Bᵀ (Wᵀ M⁻¹ W) B = I
-    return RitzVectors(np.asfortranarray(W @ B), np.asfortranarray(AX @ B))
+    return DeflationVectors(np.asfortranarray(W @ B), np.asfortranarray(AX @ B))
 
 
 def _softest_in_coarse_space(coarse: PrimalCoarseProblem, copies: Copies, count: int) -> Array:

@@ -26,7 +26,7 @@ from dolfinx_feti.feti.primal.krylov.gmres import gmres
 from dolfinx_feti.feti.primal.preconditioner import create_symmetric_part_preconditioner
 from dolfinx_feti.feti.primal.stopping import StoppingTest
 from dolfinx_feti.feti.setup import set_up_operator
-from dolfinx_feti.feti.solve_info import RitzVectors
+from dolfinx_feti.feti.solve_info import DeflationVectors
 from dolfinx_feti.runtime.petsc_options import inserted
 
 SEED = 1993
@@ -233,7 +233,7 @@ def test_least_residuals(count, torn_grid, general_form):
     f = random_part(plain.system.copies.size)
     W = [copies.average(random_part(copies.size, seed=7 + j)) for j in range(count)]
     W = np.column_stack(W or [f])[:, :count]
-    primal = general_form(problem, RitzVectors(W, W))
+    primal = general_form(problem, DeflationVectors(W, W))
     system = primal.system
     δ = copies.delta[:, None]
     agree(primal.deflation.count == count)

@@ -22,7 +22,7 @@ from dolfinx_feti.feti.primal.deflation import create_deflation_space
 from dolfinx_feti.feti.primal.krylov.conjugate_gradients import conjugate_gradients
 from dolfinx_feti.feti.primal.recycling import MAX_RITZ_VALUE, recycled_vectors, soft_fields
 from dolfinx_feti.feti.primal.stopping import StoppingTest
-from dolfinx_feti.feti.solve_info import RitzVectors
+from dolfinx_feti.feti.solve_info import DeflationVectors
 from dolfinx_feti.runtime import collective
 
 FEW = 4
@@ -99,7 +99,7 @@ def test_iteration_waits_three_times(count, monkeypatch, torn_grid, form):
     """Once in the coarse problem, and twice for scalar products, with Ritz vectors or without."""
     primal = form(torn_grid(**GRID))
     W = assembled(primal, 5)[:, :count]
-    _, system = deflated(primal, primal.system, RitzVectors(W, W))
+    _, system = deflated(primal, primal.system, DeflationVectors(W, W))
     f = random_part(primal.system.copies.size, seed=7)
     calls = []
     for module in (copies, deflation, recycling, collective):
@@ -119,7 +119,7 @@ def test_start_and_projection(change, interior, torn_grid, form):
     """Residuals are orthogonal to V and W from the start on, directions A-orthogonal to both."""
     primal = form(torn_grid(change=change, **GRID), interior=interior)
     W = assembled(primal, 5)
-    space, system = deflated(primal, primal.system, RitzVectors(W, W))
+    space, system = deflated(primal, primal.system, DeflationVectors(W, W))
     agree(space.count == 5)
     δ = system.copies.delta
     f = random_part(system.copies.size, seed=7)
@@ -169,7 +169,7 @@ def test_nothing_to_learn_from(torn_grid, form):
     primal = form(torn_grid(**GRID), interior="eliminate")
     W = assembled(primal, 3)
     n = primal.system.copies.size
-    for vectors in (None, RitzVectors(W, W)):
+    for vectors in (None, DeflationVectors(W, W)):
         space, system = deflated(primal, primal.system, vectors)
         for f in (np.zeros(n), np.full(n, np.nan)):
             recycled = recycled_vectors(space, iterate(system, f)[2], max_count=20)
@@ -183,7 +183,7 @@ def test_dependent_directions(torn_grid, form):
     f = random_part(primal.system.copies.size, seed=7)
     v = primal.coarse.initial_guess(primal.system.copies.sum(f))  # in V
     W = np.column_stack([w, -2.0 * w, v, np.zeros_like(w)])
-    space, system = deflated(primal, primal.system, RitzVectors(W, W))
+    space, system = deflated(primal, primal.system, DeflationVectors(W, W))
     agree(not space.is_indefinite)
     (x, outcome, _) = iterate(system, f)
     (expected, plain, _) = iterate(primal.system, f)
@@ -201,7 +201,7 @@ def test_negative_curvature(torn_grid, form):
     last = COMM.scan(primal.system.copies.size)
     p = (exact.T @ np.linalg.eigh(exact.A)[1][:, 0])[last - primal.system.copies.size : last]
     W = np.column_stack([p, assembled(primal, 3)])
-    space, system = deflated(primal, primal.system, RitzVectors(W, W))
+    space, system = deflated(primal, primal.system, DeflationVectors(W, W))
     _, outcome, basis = iterate(system, f)
     agree(outcome.reason == Reason.DIVERGED_INDEFINITE_MAT and outcome.iterations == 0)
     agree(recycled_vectors(space, basis, max_count=20).W.shape == W.shape)
