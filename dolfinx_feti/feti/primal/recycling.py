@@ -67,7 +67,9 @@ INVERSE_STEPS = 2
 MIN_INDEPENDENT_SQUARE = 1e-10
 
 
-def recycled_vectors(space: DeflationSpace, basis: KrylovBasis, *, max_count: int) -> DeflationVectors:
+def recycled_vectors(
+    space: DeflationSpace, basis: KrylovBasis, *, max_count: int
+) -> DeflationVectors:
     """Return the Ritz vectors of a solve, by which later solves are deflated. Collective.
 
     Args:
@@ -97,7 +99,9 @@ def recycled_vectors(space: DeflationSpace, basis: KrylovBasis, *, max_count: in
     ritz_vectors = W @ y_W + Z @ y_Z
     # M⁻¹ (W y_W + Z y_Z), with M⁻¹ Z = R + (M⁻¹ W) Wᵀ M⁻¹ Z
     M_inverse_ritz_vectors = M_inverse_W @ (y_W + WZ @ y_Z) + R[:, :k] @ y_Z
-    return DeflationVectors(np.asfortranarray(ritz_vectors), np.asfortranarray(M_inverse_ritz_vectors))
+    return DeflationVectors(
+        np.asfortranarray(ritz_vectors), np.asfortranarray(M_inverse_ritz_vectors)
+    )
 
 
 def _smallest_ritz_vectors(

@@ -23,19 +23,33 @@ from dolfinx_feti.torn.matrix import Torn
 
 
 @dataclass(frozen=True, slots=True)
+class Supports:
+    """Pairs of a torn Dirichlet dof of this process and a body that it supports.
+
+    A dof that supports several bodies occurs once for each.
+
+    Attributes:
+        dofs: The torn dofs, (supports,).
+        bodies: The bodies, (supports,).
+    """
+
+    dofs: Numbers
+    bodies: Numbers
+
+
+@dataclass(frozen=True, slots=True)
 class Bodies:
     """The bodies of a torn matrix; they depend on its pattern alone.
 
     Attributes:
         count: Number of bodies over all processes.
         label: Body of each torn dof of this process, (n,); ``count`` for Dirichlet dofs.
-        supports: Torn Dirichlet dofs, each with a body that it supports, (supports, 2). A dof with
-            several such bodies occurs several times.
+        supports: Which Dirichlet dofs support which bodies.
     """
 
     count: int
     label: Numbers
-    supports: Numbers
+    supports: Supports
 
 
 def find_bodies(torn: Torn) -> Bodies:
@@ -65,8 +79,8 @@ def find_bodies(torn: Torn) -> Bodies:
     return on_all(create, torn.comm)
 
 
-def _find_supports(torn: Torn, is_free: Mask, body_of_node: Numbers) -> Numbers:
-    """Return the torn Dirichlet dofs with the bodies that they support, (supports, 2).
+def _find_supports(torn: Torn, is_free: Mask, body_of_node: Numbers) -> Supports:
+    """Find the Dirichlet dofs that support a body.
 
     A Dirichlet dof of a node with free dofs supports the body of its node. One of a node without
     free dofs supports the bodies of the nodes that K couples to it.
@@ -78,16 +92,17 @@ def _find_supports(torn: Torn, is_free: Mask, body_of_node: Numbers) -> Numbers:
     """
     bs = torn.K.getBlockSize()
     on_free_nodes = np.flatnonzero(torn.dirichlet_copies & np.repeat(is_free, bs))
-    supports_of_free_nodes = np.column_stack([on_free_nodes, body_of_node[on_free_nodes // bs]])
 
     constrained_nodes = np.flatnonzero(~is_free)
     body_of_free_node = body_of_node[is_free]
     row, neighbour = torn.graph.tocsr()[~is_free][:, is_free].nonzero()
     couplings = np.column_stack([constrained_nodes[row], body_of_free_node[neighbour]])
     node_and_body = np.unique(couplings, axis=0)
-    dofs = (node_and_body[:, :1] * bs + np.arange(bs)).ravel()
-    supports_of_constrained_nodes = np.column_stack([dofs, np.repeat(node_and_body[:, 1], bs)])
-    return np.vstack([supports_of_free_nodes, supports_of_constrained_nodes])
+    on_constrained_nodes = (node_and_body[:, :1] * bs + np.arange(bs)).ravel()
+    return Supports(
+        dofs=np.append(on_free_nodes, on_constrained_nodes),
+        bodies=np.append(body_of_node[on_free_nodes // bs], np.repeat(node_and_body[:, 1], bs)),
+    )
 
 
 def _join_pieces(torn: Torn, piece: Numbers, pieces: int) -> tuple[int, Numbers]:

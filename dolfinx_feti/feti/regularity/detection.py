@@ -240,13 +240,13 @@ def _unresisted_motions(W: Array, rigid: RigidMotions) -> Array:
         return W
     comm = rigid.torn.comm
     matrix = rigid.matrix
-    R = r_factor(np.hstack([matrix.forces(W), matrix.sizes(W)]), comm)
+    R = r_factor(np.hstack([matrix.scaled_forces(W), matrix.scale_motions(W)]), comm)
     forces = R[:, :k]
-    sizes = R[:, k:]
+    motions = R[:, k:]
     rounding = matrix.force_rounding(W)
 
     def combinations() -> Array:
-        basis = orthonormal_combinations(sizes)
+        basis = orthonormal_combinations(motions)
         largest_rounding = (np.abs(basis).T @ rounding).max(initial=0.0)
         tolerance = FORCE_ROUNDING_MARGIN * largest_rounding
         return np.asarray(basis @ null_combinations(forces @ basis, tolerance))
@@ -263,20 +263,20 @@ def _without_rigid_part(rigid: RigidMotions, W: Array) -> Array:
 
     Returns:
         A basis of the parts of the fields that are orthogonal to the motions in the scaling of
-        ``scaled_matrix``, (n, ≤ k).
+        ``scaled_assembled``, (n, ≤ k).
     """
     if W.shape[1] == 0:
         return W
     comm = rigid.torn.comm
-    root = rigid.matrix.sizes(np.ones((len(W), 1)))  # scales a field, (n, 1)
-    X = root * W
+    weight = rigid.matrix.motion_weight
+    X = weight * W
     norm = np.sqrt(comm.allreduce((X**2).sum(axis=0)))
     X = independent_columns(X / np.where(norm > 0.0, norm, 1.0), DEPENDENT_FIELD_NORM, comm)
-    motions = root * rigid.fields
+    motions = weight * rigid.fields
     for _ in range(2):  # the second pass removes the rounding errors of the first
         for j in range(motions.shape[1]):
             X = _orthogonal_on_each_body(rigid, X, motions[:, j : j + 1])
-    return np.asarray(independent_columns(X, SAME_MOTION, comm) / root)
+    return np.asarray(independent_columns(X, SAME_MOTION, comm) / weight)
 
 
 def _orthogonal_on_each_body(rigid: RigidMotions, X: Array, r: Array) -> Array:

@@ -5,7 +5,7 @@ r"""Rigid motions of each body that its supports leave free and the matrix does 
 
 .. math:: \hat w = 0 \text{ on the supports}, \qquad \|\hat A \hat w\| ≤ τ\, \|\hat w\|
 
-in the scaling of ``scaled_matrix``, for motions in the span of the near kernel. No factor is
+in the scaling of ``scaled_assembled``, for motions in the span of the near kernel. No factor is
 needed.
 
 If A is known to be positive semi-definite, the energy :math:`\hat w^⊤ \hat A\, \hat w` has to be
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_feti.feti.regularity.bodies import Bodies
-from dolfinx_feti.feti.regularity.scaled_matrix import ScaledMatrix
+from dolfinx_feti.feti.regularity.scaled_assembled import ScaledAssembledMatrix
 from dolfinx_feti.feti.regularity.tsqr import r_factors
 from dolfinx_feti.feti.subdomain.kernel_detection import MAX_NORM_ON_FIXED_DOFS
 from dolfinx_feti.feti.subdomain.orthonormal import (
@@ -64,7 +64,7 @@ class RigidMotions:
 
     torn: Torn
     bodies: Bodies
-    matrix: ScaledMatrix
+    matrix: ScaledAssembledMatrix
     fields: Array
     dimensions: Numbers
     null_space: Array
@@ -95,7 +95,7 @@ def free_motions(torn: Torn, bodies: Bodies, *, is_semidefinite: bool) -> RigidM
         is_semidefinite: Whether the assembled matrix is known to be positive semi-definite.
     """
     near_kernel = torn.near_kernel()
-    matrix = ScaledMatrix(torn)
+    matrix = ScaledAssembledMatrix(torn)
     combinations = _unsupported_combinations(matrix, near_kernel, bodies, torn)
     fields = _combine(near_kernel, combinations, bodies)
     if fields.shape[1]:
@@ -108,7 +108,7 @@ def free_motions(torn: Torn, bodies: Bodies, *, is_semidefinite: bool) -> RigidM
 
 
 def _unsupported_combinations(
-    matrix: ScaledMatrix, modes: Array, bodies: Bodies, torn: Torn
+    matrix: ScaledAssembledMatrix, modes: Array, bodies: Bodies, torn: Torn
 ) -> list[Array]:
     """Return the combinations of modes that vanish on the supports of each body. Collective.
 
@@ -121,10 +121,10 @@ def _unsupported_combinations(
     Returns:
         Coefficients of each body, (k, ≤ k); the motions have size one on the body and its supports.
     """
-    sizes = matrix.sizes(modes)
-    support_dofs, body_of_support = bodies.supports.T
-    R_supports = r_factors(sizes[support_dofs], body_of_support, bodies.count, torn.comm)
-    R_free = r_factors(sizes, bodies.label, bodies.count, torn.comm)  # the free dofs have a label
+    motions = matrix.scale_motions(modes)
+    supports = bodies.supports
+    R_supports = r_factors(motions[supports.dofs], supports.bodies, bodies.count, torn.comm)
+    R_free = r_factors(motions, bodies.label, bodies.count, torn.comm)  # free dofs have a label
 
     def combinations() -> list[Array]:
         coefficients = []
@@ -139,7 +139,12 @@ def _unsupported_combinations(
 
 
 def _unresisted_combinations(
-    matrix: ScaledMatrix, fields: Array, bodies: Bodies, torn: Torn, *, is_semidefinite: bool
+    matrix: ScaledAssembledMatrix,
+    fields: Array,
+    bodies: Bodies,
+    torn: Torn,
+    *,
+    is_semidefinite: bool,
 ) -> list[Array]:
     """Return the combinations of fields that cause no force on each body. Collective.
 
@@ -154,34 +159,34 @@ def _unresisted_combinations(
         Coefficients of each body, (k, ≤ k).
     """
     k = fields.shape[1]
-    forces_and_sizes = np.hstack([matrix.forces(fields), matrix.sizes(fields)])
-    # R has both in one orthonormal basis, so that scalar products of forces and sizes are exact.
-    R = r_factors(forces_and_sizes, bodies.label, bodies.count, torn.comm)
+    forces_and_motions = np.hstack([matrix.scaled_forces(fields), matrix.scale_motions(fields)])
+    # R has both in one orthonormal basis, so that products of forces and motions are exact.
+    R = r_factors(forces_and_motions, bodies.label, bodies.count, torn.comm)
 
     def combinations() -> list[Array]:
         coefficients = []
         for of_body in R:
             forces = of_body[:, :k]
-            sizes = of_body[:, k:]
+            motions = of_body[:, k:]
             coefficients.append(
-                _combinations_without_force(forces, sizes, is_semidefinite=is_semidefinite)
+                _combinations_without_force(forces, motions, is_semidefinite=is_semidefinite)
             )
         return coefficients
 
     return on_all(combinations, torn.comm)
 
 
-def _combinations_without_force(forces: Array, sizes: Array, *, is_semidefinite: bool) -> Array:
+def _combinations_without_force(forces: Array, motions: Array, *, is_semidefinite: bool) -> Array:
     """Return the combinations of size one whose force is rounding, (k, ≤ k).
 
     Args:
         forces: Scaled forces of the fields, (rows, k), in an orthonormal basis.
-        sizes: The scaled fields in the same basis, (rows, k).
+        motions: The scaled fields in the same basis, (rows, k).
         is_semidefinite: Whether to test their energy, too.
     """
-    basis = orthonormal_combinations(sizes)
+    basis = orthonormal_combinations(motions)
     if is_semidefinite:
-        energy = (sizes @ basis).T @ (forces @ basis)
+        energy = (motions @ basis).T @ (forces @ basis)
         values, Y = np.linalg.eigh(symmetric_part(energy))
         basis = basis @ Y[:, values <= MAX_NULL_ENERGY]
     return np.asarray(basis @ null_combinations(forces @ basis, MAX_NULL_FORCE))

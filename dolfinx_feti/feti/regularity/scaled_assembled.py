@@ -8,6 +8,10 @@ r"""The assembled matrix on its free dofs, scaled by its diagonal d, and what it
 
 which makes forces and motions independent of units. A motion w is a single-valued field on the torn
 dofs, zero on Dirichlet dofs; several motions are columns, (n, k).
+
+A scaled motion or force is stored on the torn dofs, too. In addition it is divided by the square
+root of the multiplicity of each dof. Norms and products over the torn dofs of all processes are
+then those of assembled vectors, which have each dof once.
 """
 
 from __future__ import annotations
@@ -20,13 +24,14 @@ from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.rounding import EPS, product_rounding_squares
 
 
-class ScaledMatrix:
-    """The assembled matrix, scaled by its diagonal.
+class ScaledAssembledMatrix:
+    r"""The matrix :math:`\hat A`.
 
     Attributes:
-        root_share: Square root of 1/multiplicity of each torn dof, (n,): with this weight, a norm
-            over all torn dofs counts each assembled dof once.
+        root_share: Square root of 1/multiplicity of each torn dof, (n,).
         root_diagonal: :math:`d^{1/2}`, (n,).
+        motion_weight: What a motion w is multiplied by to scale it, (n, 1).
+        force_weight: What a force A w is multiplied by to scale it, (n, 1).
     """
 
     def __init__(self, torn: Torn) -> None:
@@ -36,6 +41,8 @@ class ScaledMatrix:
         mean = torn.comm.allreduce(d.sum()) / max(torn.comm.allreduce(torn.n), 1)
         self.root_share = np.sqrt(1.0 / torn.tear(torn.multiplicity()))
         self.root_diagonal = np.sqrt(np.where(d > 0.0, d, mean or 1.0))
+        self.motion_weight = (self.root_share * self.root_diagonal)[:, None]
+        self.force_weight = (self.root_share / self.root_diagonal)[:, None]
 
     def diagonal_quotient(self) -> float:
         """Return the quotient of the largest and the smallest diagonal entry of A. Collective."""
@@ -44,21 +51,18 @@ class ScaledMatrix:
         largest = max(comm.allgather(self.root_diagonal.max(initial=0.0)))
         return float((largest / smallest) ** 2) if largest > 0.0 else 1.0
 
-    def sizes(self, W: Array) -> Array:
-        r"""Return columns whose norms over all processes are :math:`\|\hat w\|`, (n, k)."""
-        return (self.root_share * self.root_diagonal)[:, None] * W
+    def scale_motions(self, W: Array) -> Array:
+        r"""Return the scaled motions :math:`\hat w`, (n, k)."""
+        return self.motion_weight * W
 
-    def forces(self, W: Array) -> Array:
-        r"""Return columns whose norms over all processes are :math:`\|\hat A \hat w\|`, (n, k).
-
-        Collective.
-        """
+    def scaled_forces(self, W: Array) -> Array:
+        r"""Return the scaled forces :math:`\hat A \hat w` of motions w, (n, k). Collective."""
         torn = self._torn
-        image = np.empty_like(W)
+        forces = np.empty_like(W)
         for j in range(W.shape[1]):
-            image[:, j] = torn.tear(torn.assemble(torn.multiply(W[:, j])))
-        image[torn.dirichlet_copies] = 0.0
-        return image * (self.root_share / self.root_diagonal)[:, None]
+            forces[:, j] = torn.tear(torn.assemble(torn.multiply(W[:, j])))  # A w
+        forces[torn.dirichlet_copies] = 0.0
+        return forces * self.force_weight
 
     def force_rounding(self, W: Array) -> Array:
         r"""Estimate the norms of the rounding errors of :math:`\hat A \hat w`, (k,). Collective.
@@ -66,13 +70,12 @@ class ScaledMatrix:
         Both the product and the entries of :math:`\hat w` have rounding errors.
         """
         torn = self._torn
-        weight = (self.root_share / self.root_diagonal) ** 2
+        weight_squares = self.force_weight[:, 0] ** 2
         squares = np.empty((2, W.shape[1]))
         for j in range(W.shape[1]):
-            of_force = torn.tear(
-                torn.assemble(product_rounding_squares(torn.K, W[:, j]))
-            )  # squares, (n,)
-            squares[0, j] = (of_force * weight)[~torn.dirichlet_copies].sum()
-        squares[1] = EPS**2 * (self.sizes(W) ** 2).sum(axis=0)
+            error_squares = torn.assemble(product_rounding_squares(torn.K, W[:, j]))
+            scaled_squares = torn.tear(error_squares) * weight_squares
+            squares[0, j] = scaled_squares[~torn.dirichlet_copies].sum()
+        squares[1] = EPS**2 * (self.scale_motions(W) ** 2).sum(axis=0)
         of_product, of_motion = np.sqrt(total_of(squares, torn.comm))
         return np.asarray(of_product + of_motion)
