@@ -47,7 +47,7 @@ from dolfinx_feti.feti.regularity.detection import (
     require_supported,
 )
 from dolfinx_feti.feti.setup import Inertia, require_regular_interior_blocks, sum_if_known
-from dolfinx_feti.feti.solve_info import KrylovInfo, MeasuredError, DeflationVectors
+from dolfinx_feti.feti.solve_info import DeflationVectors, KrylovInfo, MeasuredError
 from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
