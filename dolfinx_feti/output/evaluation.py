@@ -28,7 +28,7 @@ from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Integers, Mask
 from dolfinx_feti.runtime.collective import on_all, total_of
 
-__all__ = ["evaluate"]
+__all__ = ["evaluate", "mesh_of"]
 
 #: Share of the extent of the mesh by which boxes around cells are enlarged: rounding of the points
 #: is 1e-16 of it. A larger share adds a few candidate cells, and changes no result.
@@ -70,7 +70,7 @@ def evaluate(expression: Expr, points: npt.ArrayLike) -> Array:
     Note:
         Collective.
     """
-    mesh = _mesh_of(expression)
+    mesh = mesh_of(expression)
     X, is_single = on_all(lambda: _checked_points(points, mesh.geometry.dim), mesh.comm)
     which, cells, ξ = on_all(lambda: _cells_with(mesh, X), mesh.comm)
     count = total_of(np.bincount(which, minlength=len(X)).astype(np.float64), mesh.comm)
@@ -90,11 +90,17 @@ def evaluate(expression: Expr, points: npt.ArrayLike) -> Array:
     return values[0] if is_single else values
 
 
-def _mesh_of(expression: Expr) -> dolfinx.mesh.Mesh:
-    """Return the mesh of an expression."""
+def mesh_of(expression: Expr) -> dolfinx.mesh.Mesh:
+    """Return the mesh of an expression.
+
+    Raises:
+        ValueError: It has none.
+    """
     domain = ufl.domain.extract_unique_domain(expression)
     if domain is None:
-        raise ValueError(f"The expression {expression} lives on no mesh: it is a number.")
+        raise ValueError(
+            f"The expression {expression} lives on no mesh: give an expression in a Function."
+        )
     return dolfinx.mesh.Mesh(domain.ufl_cargo(), domain)
 
 

@@ -16,6 +16,9 @@ import ufl
 from dolfinx_feti import LinearProblem
 from dolfinx_feti.meshes.walls import create_tube_wall
 from dolfinx_feti.output import pictures
+from dolfinx_feti.output.pictures.composition import DPI, TITLE_HEIGHT, WIDTH
+from dolfinx_feti.output.pictures.drawing import colour_ranges
+from dolfinx_feti.output.pictures.fibre_lines import LENGTH
 from dolfinx_feti.wall import fibre_families, fibre_frame
 
 pytest.importorskip("pyvista")
@@ -52,7 +55,7 @@ def test_field_and_subdomains_side_by_side(beam, tmp_path):
         pictures.field(beam.u, "displacement |u| [mm]", displacement=beam.u, title="bent"),
     )
     image = read(picture.path)
-    agree(image.shape[1] == pictures.WIDTH * pictures.DPI, image.shape)
+    agree(image.shape[1] == WIDTH * DPI, image.shape)
     agree(image[0, 0, 3] == 0.0)
     columns = np.flatnonzero((image[:, :, 3] > 0).any(axis=0))
     agree(columns[0] < 60 and columns[-1] > image.shape[1] - 60, columns[[0, -1]])
@@ -65,7 +68,7 @@ def test_texts_follow_the_background(beam, tmp_path):
         picture = pictures.draw(
             tmp_path / f"{dark}.png", pictures.subdomains(beam, title="MMMM"), dark=dark
         )
-        title = read(picture.path)[: int(0.7 * pictures.TITLE * pictures.DPI)]
+        title = read(picture.path)[: int(0.7 * TITLE_HEIGHT * DPI)]
         opaque = title[title[:, :, 3] > 0.9]
         agree((opaque[:, :3].mean() > 0.7) == dark, opaque.mean())
 
@@ -76,7 +79,7 @@ def test_colours_of_panels_with_one_label_are_those_of_one_scale(beam, tmp_path)
     doubled = pictures.field(2 * beam.u, "|u|")
 
     def look() -> tuple[float, float]:
-        ranges = pictures._colour_ranges([panel, doubled], None)
+        ranges = colour_ranges([panel, doubled], None)
         return ranges["|u|"][1], doubled.surface.values.max()
 
     end, largest = on_first(look)
@@ -103,8 +106,10 @@ def test_fibres_follow_the_layer(tmp_path):
     agree(len(found) == 2)
     for off, length in found:
         agree(off < 0.03, off)
-        small(length / (3 * pictures.FIBRE_LENGTH) - 1.0, 0.1)
+        small(length / (3 * LENGTH) - 1.0, 0.1)
     pictures.draw(tmp_path / "fibres.png", panel)
+    many = pictures.fibres(wall, [*families, *families], "media")
+    pictures.draw(tmp_path / "four.png", many)  # the fourth family has the first one's colour
     with raises(ValueError, "no layer 'intima'; it has .*media"):
         pictures.fibres(wall, families, "intima")
 
