@@ -26,17 +26,21 @@ from dolfinx_feti.torn.rounding import EPS
 NEGATIVE_ENERGY_MARGIN = 10.0
 
 
-def energy_rounding(copies: Copies, S: SchurOperator, v: Array) -> float:
-    """Return the bound of the rounding errors of vᵀ A v, ε Σ_i ‖S_i‖_F ‖v_i‖². Collective.
+def proves_indefinite(copies: Copies, S: SchurOperator, v: Array, energy: float) -> bool:
+    """Return True if a computed energy vᵀ A v is negative beyond rounding. Collective.
+
+    It costs a product with each S_i, and is meant for the few v with a negative energy.
 
     Args:
         copies: Copies of the interface dofs.
         S: Schur complements of the subdomains of this process.
         v: Assembled vector by its copies, (n_Γ,).
+        energy: Its computed energy.
     """
     norms = on_subdomains(lambda: _estimated_norms(S), copies.comm)
-    squares = [float(v[rows] @ v[rows]) for rows in copies.rows]
-    return EPS * total(float(np.dot(norms, squares)), copies.comm)
+    squares = [float(v[rows] @ v[rows]) for rows in copies.rows]  # ‖(T v)_i‖²
+    bound = EPS * total(float(np.dot(norms, squares)), copies.comm)
+    return energy < -NEGATIVE_ENERGY_MARGIN * bound
 
 
 def column_energy_rounding(S: SchurOperator, W: list[Panels]) -> list[Array]:

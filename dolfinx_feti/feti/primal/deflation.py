@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dolfinx_feti.feti.coarse.primal_problem import PrimalCoarseProblem
-from dolfinx_feti.feti.coarse.rounding import NEGATIVE_ENERGY_MARGIN, energy_rounding
+from dolfinx_feti.feti.coarse.rounding import proves_indefinite
 from dolfinx_feti.feti.interface.copies import Copies
 from dolfinx_feti.feti.solve_info import DeflationVectors
 from dolfinx_feti.feti.subdomain.failures import on_subdomains
@@ -106,12 +106,16 @@ class DeflationSpace:
         c = self.H_inverse @ (W_r - W_Az)
         return np.asarray(z + self.W @ c), float(product[0] + W_r @ c)
 
-    def rounding(self, v: Array) -> float:
-        """Return a bound of the rounding errors of vᵀ A v, v by copies, (n_Γ,). Collective.
+    def proves_indefinite(self, v: Array, energy: float) -> bool:
+        """Return True if vᵀ A v is negative beyond rounding. Collective.
 
-        It costs a product with each S_i, and is meant for the few v with vᵀ A v < 0.
+        It costs a product with each S_i, and is meant for the few v with a negative energy.
+
+        Args:
+            v: Assembled vector by its copies, (n_Γ,).
+            energy: Its computed vᵀ A v.
         """
-        return energy_rounding(self.copies, self.S, v)
+        return proves_indefinite(self.copies, self.S, v, energy)
 
     def memory(self) -> float:
         """Return the memory of the vectors of this process in MiB."""
@@ -150,7 +154,7 @@ def create_deflation_space(
         is_indefinite = bool(coarse.negative_eigenvalues)
         if len(θ) and θ[0] < 0.0:
             v = W @ B_θ[:, 0]  # vᵀ A v = θ₀
-            if θ[0] < -NEGATIVE_ENERGY_MARGIN * energy_rounding(copies, S, v):
+            if proves_indefinite(copies, S, v, θ[0]):
                 is_indefinite = True
     return DeflationSpace(
         coarse=coarse,

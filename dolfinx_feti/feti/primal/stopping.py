@@ -68,8 +68,14 @@ class InterfaceErrorTest:
 class StoppingTest:
     """Tolerances of residual and error, and a limit of iterations, for a Krylov method.
 
-    A method calls :meth:`reason_of_residual` at the start and after each iteration. If ‖r‖ has
-    reached its target without an end, it calls :meth:`reason_of_error` once η is measured.
+    A method calls :meth:`reason_of_residual` at the start and after each iteration, with ‖r‖. In
+    the next iteration, which computes z of the same residual, it tests η if ‖r‖ needs that::
+
+        z, _ = system.precondition(r)
+        if stopping.needs_error_estimate(norm):
+            reason = stopping.reason_of_error(stopping.estimate_error(z, x), its)
+            if reason != Reason.ITERATING:
+                break
 
     Attributes:
         target: Largest ‖r‖ that is accepted.
@@ -91,7 +97,7 @@ class StoppingTest:
 
         Returns:
             The reason. If ‖r‖ has reached its target but η is unknown or too large, it is
-            ``ITERATING``, even after the last iteration, and the caller measures η next.
+            ``ITERATING``, even after the last iteration: the next one tests η.
         """
         if not np.isfinite(norm):
             return Reason.DIVERGED_NANORINF
@@ -100,11 +106,17 @@ class StoppingTest:
             return Reason.CONVERGED_RTOL if has_converged else Reason.ITERATING
         return Reason.DIVERGED_MAX_IT if its == self.max_it else Reason.ITERATING
 
-    def reason_of_error(self, error_estimate: float, its: int) -> int:
-        """Return the converged reason by a measured η after ``its`` iterations.
+    def needs_error_estimate(self, norm: float) -> bool:
+        """Return True if ‖r‖ has reached its target, so that η decides."""
+        return self.error_test is not None and norm <= self.target
 
-        It applies only if ‖r‖ has reached its target.
-        """
+    def estimate_error(self, z: Array, x: Array) -> float:
+        """Return η of an iterate x with the preconditioned residual z, (n_Γ,) each. Collective."""
+        assert self.error_test is not None  # needs_error_estimate has returned True
+        return self.error_test.measure(z, x)
+
+    def reason_of_error(self, error_estimate: float, its: int) -> int:
+        """Return the converged reason by η after ``its`` iterations, if ‖r‖ has met its target."""
         if self._accepts_error(error_estimate):
             return Reason.CONVERGED_RTOL
         return Reason.DIVERGED_MAX_IT if its == self.max_it else Reason.ITERATING

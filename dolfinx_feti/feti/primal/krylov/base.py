@@ -59,10 +59,11 @@ class KrylovMethod(Protocol):
     - begin with :func:`start_from_coarse_space`, which calls ``monitor(0, ‖r₀‖)``, and call
       ``monitor(k, ‖r_k‖)`` once after iteration k,
     - apply A and M by ``system.apply`` and ``system.precondition`` only,
-    - call ``stopping.reason_of_residual`` at the start and after each iteration, and end unless it
-      returns ``ITERATING``. If it does although ‖r‖ has reached its target, measure the estimated
-      error by ``stopping.error_test.measure(z, x)``, which is not None then, and end unless
-      ``stopping.reason_of_error`` returns ``ITERATING``,
+    - compute z from the residual in each iteration. z is accurate to single precision only
+      (``coarse.products``). So a recurrence for z itself, such as z ← z − α M A p of conjugate
+      residuals, cannot reduce ‖r‖ below some 1e-6 ‖r₀‖,
+    - call ``stopping`` as :class:`~dolfinx_feti.feti.primal.stopping.StoppingTest` describes, and
+      end unless the reason is ``ITERATING``,
     - end with ``needs_fresh_start`` if it can neither converge nor continue.
     """
 

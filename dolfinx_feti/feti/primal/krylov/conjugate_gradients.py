@@ -23,7 +23,6 @@ from petsc4py import PETSc
 import numpy as np
 import scipy.linalg
 
-from dolfinx_feti.feti.coarse.rounding import NEGATIVE_ENERGY_MARGIN
 from dolfinx_feti.feti.monitor import Monitor
 from dolfinx_feti.feti.primal.krylov.base import (
     BestIterate,
@@ -88,8 +87,8 @@ def conjugate_gradients(
         reason = Reason.DIVERGED_INDEFINITE_MAT
     while reason == Reason.ITERATING:
         cg.precondition()  # z = Π M r
-        if stopping.error_test is not None and cg.norm <= stopping.target:
-            η = stopping.error_test.measure(cg.z, cg.x)
+        if stopping.needs_error_estimate(cg.norm):
+            η = stopping.estimate_error(cg.z, cg.x)
             reason = stopping.reason_of_error(η, cg.its)
             if reason != Reason.ITERATING:
                 break
@@ -101,9 +100,7 @@ def conjugate_gradients(
         products = cg.products_of_step(stopping.error_test if is_near_target else None)
         η = products.error_estimate  # of the iterate before the step
         if products.pq <= 0.0:
-            rounding = system.deflation.rounding(cg.p)
-            is_beyond_rounding = products.pq < -NEGATIVE_ENERGY_MARGIN * rounding
-            if not is_beyond_rounding:
+            if not system.deflation.proves_indefinite(cg.p, products.pq):
                 needs_fresh_start = True
                 break
             if negative_curvatures_left == 0:

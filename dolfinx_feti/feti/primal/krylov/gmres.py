@@ -48,7 +48,6 @@ def gmres(
 
     Each iteration preconditions the last column of R only: a residual r = R v has z = Z v.
     """
-    error_test = stopping.error_test
     start = start_from_coarse_space(system, f, monitor)
     norm = start.norm
     max_k = min(stopping.max_it, GMRES_DIRECTIONS)
@@ -59,8 +58,8 @@ def gmres(
     while reason == Reason.ITERATING:
         z, _ = system.precondition(arnoldi.last_column)
         arnoldi.store(z)
-        if error_test is not None and norm <= stopping.target:
-            η = error_test.measure(
+        if stopping.needs_error_estimate(norm):
+            η = stopping.estimate_error(
                 arnoldi.preconditioned_residual(), start.x + arnoldi.correction()
             )
             reason = stopping.reason_of_error(η, arnoldi.k)
