@@ -589,7 +589,7 @@ class NonlinearProblem(TornProblem):
             length: Length of the step, in the unit of the path: Δt of time steps, which a
                 Windkessel needs, or the increment of the load.
         """
-        self._system.scalars.begin(length)
+        self._system.scalars.begin_step(length)
         self._contacts.store_positions()
 
     def renew(self) -> None:

@@ -71,9 +71,9 @@ class ArcLength(Coupling):
         moved = u - self._last
         self._moved = dolfinx.fem.form(ufl.inner(moved, moved) / self._size * dx)
 
-    def begin(self, ds: float) -> None:
-        """Prepare a step of the length Δs."""
-        self._path.value[3] = ds  # of (λ_n, t_λ, ψ², Δs)
+    def begin_step(self, length: float) -> None:
+        """Prepare a step of the length Δs, in the unit of the load."""
+        self._path.value[3] = length  # Δs of (λ_n, t_λ, ψ², Δs)
 
     def accept(self) -> None:
         """Store the present state as the last one, and the secant to it. Collective."""

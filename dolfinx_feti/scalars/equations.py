@@ -68,8 +68,12 @@ class Coupling:
             ValueError: It does not; on this process.
         """
 
-    def begin(self, length: float) -> None:
-        """Prepare a step of a path; ``length`` is that of the step in the load or in time."""
+    def begin_step(self, length: float) -> None:
+        """Prepare a step of a path.
+
+        Args:
+            length: Length of the step, in the unit of the path: a load, or a time [s].
+        """
 
     def accept(self) -> None:
         """Store the present state as the last one of a path. Collective."""

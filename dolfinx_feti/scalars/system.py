@@ -330,10 +330,10 @@ class ScalarSystem:
         """Return B s, the force of the present scalars on u, (N,)."""
         return self.force_of(self.values())
 
-    def begin(self, length: float) -> None:
+    def begin_step(self, length: float) -> None:
         """Prepare a step of a path, of this length in its load or time. Not collective."""
         for coupling in self._couplings:
-            coupling.begin(length)
+            coupling.begin_step(length)
 
     def accept(self) -> None:
         """Store the present state as the last one of a path. Collective."""

@@ -91,11 +91,12 @@ class Windkessel(Coupling):
         volume = cavity.present_volume()
         self.history = dolfinx.fem.Constant(mesh, np.array([0.0, volume, volume, p_c, p_c]))
         self._rates = dolfinx.fem.Constant(mesh, np.zeros(3))  # of y, y_n and y_{n−1} in ẏ
-        self._dt: float  # Δt of the present step, set by ``begin``
+        self._dt: float  # Δt of the present step, set by ``begin_step``
 
-    def begin(self, dt: float) -> None:
+    def begin_step(self, length: float) -> None:
         """Prepare a step of the length Δt [s], from the present history."""
-        require_positive(dt=dt)
+        require_positive(length=length)
+        dt = length
         last_dt = self.history.value[0]
         ω = dt / last_dt if last_dt > 0.0 else 0.0  # without a last step: first order
         self._rates.value = np.array([(1 + 2 * ω) / (1 + ω), -(1 + ω), ω**2 / (1 + ω)]) / dt
@@ -142,5 +143,5 @@ class Windkessel(Coupling):
     def check_values(self) -> None:
         """Check that a step has begun, and that the inflow is finite."""
         if not self._rates.value[0] > 0.0:
-            raise ValueError("No time step of the Windkessel has begun: call begin(dt) before.")
+            raise ValueError("No time step of the Windkessel has begun: call begin_step before.")
         require_finite(inflow=float(self.inflow.value))

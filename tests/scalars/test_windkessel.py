@@ -28,7 +28,7 @@ def march(windkessel, problem, dt, count, flow):
     pressures = []
     for n in range(count):
         windkessel.inflow.value = flow((n + 1) * dt)
-        windkessel.begin(dt)
+        windkessel.begin_step(dt)
         problem.solve(renew=False)
         windkessel.accept()
         pressures.append(float(windkessel.cavity.pressure.value))
@@ -103,9 +103,9 @@ def test_what_does_not_fit():
     problem = ball.problem([windkessel])
     with raises(ValueError, "No time step"):
         problem.solve()
-    with raises(ValueError, "dt = 0.0: give a positive"):
-        windkessel.begin(0.0)
-    windkessel.begin(0.1)
+    with raises(ValueError, "length = 0.0: give a positive"):
+        windkessel.begin_step(0.0)
+    windkessel.begin_step(0.1)
     windkessel.inflow.value = np.nan
     with raises(ValueError, "inflow = nan: give a finite"):
         problem.solve()
