@@ -107,7 +107,7 @@ class ComponentNorms:
         norms._coupling_squares = np.where(components[:, None], in_energy, self._coupling_squares)
         return norms
 
-    def error_estimate(self, z_squares: Array, x_squares: Array) -> float:
+    def largest_ratio(self, z_squares: Array, x_squares: Array) -> float:
         """Return η, the largest over the components, from sums of squares.
 
         Args:
@@ -126,7 +126,7 @@ class ComponentNorms:
         η_squares[z_squares == 0.0] = 0.0
         return float(np.sqrt(η_squares.max()))
 
-    def total_error_estimate(self, z_squares: Array, x_squares: Array) -> float:
+    def total_ratio(self, z_squares: Array, x_squares: Array) -> float:
         """Return ‖z‖/‖x‖ of all components together, in units of energy, from sums of squares.
 
         Args:
@@ -139,22 +139,22 @@ class ComponentNorms:
             return 0.0
         return float(np.sqrt(z / x)) if x > 0.0 else np.inf
 
-    def estimate_error(self, z: Array, references: Sequence[Array]) -> tuple[float, float]:
-        """Compute η of a correction from vectors. Collective.
+    def error_of_correction(self, z: Array, references: Sequence[Array]) -> tuple[float, float]:
+        """Return the estimated error η by which a correction z changes a solution. Collective.
 
         Args:
             z: The correction, (N,).
             references: Vectors that it is relative to, (N,) each; their squares are added.
 
         Returns:
-            η, the largest over the components (:meth:`error_estimate`), and η of all components
-            together (:meth:`total_error_estimate`).
+            η, the largest over the components (:meth:`largest_ratio`), and η of all components
+            together (:meth:`total_ratio`).
         """
         local = np.array([self.squares(vector) for vector in (z, *references)])
         z_squares, *reference_squares = self._comm.allreduce(local)
         x_squares = np.sum(reference_squares, axis=0)
-        largest = self.error_estimate(z_squares, x_squares)
-        return largest, self.total_error_estimate(z_squares, x_squares)
+        largest = self.largest_ratio(z_squares, x_squares)
+        return largest, self.total_ratio(z_squares, x_squares)
 
     def squares(self, x: Array) -> Array:
         """Return this process's part of ‖x_c‖², (bs,), of an assembled vector, (N,)."""

@@ -403,7 +403,7 @@ class _OuterLoop:
         """
         z = precondition(self._formulation, r)
         references = [iterate.x, self._goal.second_reference]
-        error_estimate, total = self._norms.estimate_error(z, references)
+        error_estimate, total = self._norms.error_of_correction(z, references)
         return replace(iterate, error_estimate=error_estimate, total_error_estimate=total)
 
     def _with_missing_error(self, best: _Iterate, x: PETSc.Vec, r: PETSc.Vec) -> _Iterate:

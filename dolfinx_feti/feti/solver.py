@@ -423,7 +423,7 @@ class FETI:
             residual.array[:] = r
             return precondition(formulation, residual)
 
-    def estimate_error(self, z: Array, references: Sequence[Array]) -> float:
+    def error_of_correction(self, z: Array, references: Sequence[Array]) -> float:
         """Return η of a correction z, the largest over the components (``accuracy``). Collective.
 
         Args:
@@ -439,7 +439,7 @@ class FETI:
         # A component counts as zero only if it is tiny in all references.
         state = np.abs(references).sum(axis=0)
         norms = ComponentNorms(formulation.pattern.torn).for_state(state)
-        return norms.estimate_error(z, references)[0]
+        return norms.error_of_correction(z, references)[0]
 
     def store_outcome(self, ksp: PETSc.KSP, info: SolveInfo, error_tolerance: float) -> None:
         """Store and log the outcome of a solution that was composed of several solves.

@@ -178,8 +178,8 @@ def _create_system(ksp: PETSc.KSP, A: PETSc.Mat, b: Array, border: Border, d: Ar
 class BorderedSolver:
     """Solver of bordered systems with a FETI KSP. X and the springs are reused by the next solve.
 
-    The border and the X of the last solve also serve :meth:`correction` and :meth:`error_estimate`,
-    which need no further solve.
+    The border and the X of the last solve also serve :meth:`correction` and
+    :meth:`error_of_correction`, which need no further solve.
 
     Attributes:
         iterations: Krylov iterations of the last solve, of all right-hand sides.
@@ -349,7 +349,7 @@ class BorderedSolver:
             z, ds = correction
             m = system.count
             η_s = _scalar_error_estimate(system.border, complement, ds[:m], s[:m], x, system.comm)
-            η = max(context.estimate_error(z, [x, second_reference]), η_s)
+            η = max(context.error_of_correction(z, [x, second_reference]), η_s)
             has_gained = η <= REFINEMENT_GAIN * best.error_estimate
             if η < best.error_estimate:
                 best = _Solution(x, s, η)
@@ -402,7 +402,7 @@ class BorderedSolver:
         ds = complement.solve(border.pad(c) - total_of(border.C.T @ z, comm))
         return z - self._X @ ds, ds
 
-    def error_estimate(self, ds: Array, s: Array, x: Array, comm: MPI.Comm) -> float:
+    def error_of_correction(self, ds: Array, s: Array, x: Array, comm: MPI.Comm) -> float:
         r"""Return η of the scalars: the largest :math:`|δs_k|` relative to s_k. Collective.
 
         s_k is compared with
@@ -461,7 +461,7 @@ def _scalar_error_estimate(
 ) -> float:
     """Return the largest change of a scalar relative to its size. Collective.
 
-    See :meth:`BorderedSolver.error_estimate`. ds and s are those of the first scalars, so that
+    See :meth:`BorderedSolver.error_of_correction`. ds and s are those of the first scalars, so that
     changes of the forces of springs do not count.
     """
     m = len(ds)

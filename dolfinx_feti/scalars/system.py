@@ -285,18 +285,18 @@ class ScalarSystem:
         z = ksp.getPythonContext().correction(ksp, -r)
         return None if z is None else (z, np.zeros(0))
 
-    def error_estimate(self, ds: Array, s: Array, u: Array) -> float:
+    def error_of_correction(self, ds: Array, s: Array, u: Array) -> float:
         """Return the largest |Δs_k| relative to the size of s_k. Collective.
 
-        See :meth:`BorderedSolver.error_estimate
-        <dolfinx_feti.scalars.bordered.BorderedSolver.error_estimate>`.
+        See :meth:`BorderedSolver.error_of_correction
+        <dolfinx_feti.scalars.bordered.BorderedSolver.error_of_correction>`.
 
         Args:
             ds: Δs, (m,).
             s: Largest size of s_k among the iterates, (m,).
             u: Largest size of u_j among the iterates, (N,).
         """
-        return self._solver.error_estimate(ds, s, u, self._comm)
+        return self._solver.error_of_correction(ds, s, u, self._comm)
 
     def scales(self, u: Array, h: Array | float) -> Array:
         r"""Return the scales of the equations, (m,). Collective.

@@ -57,7 +57,7 @@ class InterfaceErrorTest:
     def estimate_from(self, squares: Array) -> float:
         """Return η from the sums of ``squares`` over all processes, (2 bs,)."""
         z_squares, x_squares = np.split(squares, 2)
-        return self.norms.error_estimate(z_squares, x_squares)
+        return self.norms.largest_ratio(z_squares, x_squares)
 
     def measure(self, z: Array, x: Array) -> float:
         """Return η of an iterate x with the preconditioned residual z. Collective."""
