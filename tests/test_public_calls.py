@@ -22,6 +22,7 @@ from problems import cube, elasticity
 
 from dolfinx_feti import LinearProblem, comparison
 from dolfinx_feti.diagnosis import run
+from dolfinx_feti.diagnosis.figures import collect_figures
 
 TESTS = Path(__file__).parent
 
@@ -55,7 +56,7 @@ def test_calls_that_work_for_others():
     cost, ksp = comparison.timed_solve(problem.create_linear_solver, b, x)
     small(np.linalg.norm(run.residual_shares(A, b, x)) / b.norm(), 1e-7)
     context = ksp.getPythonContext()
-    found = run.collect_figures(context.formulation)
+    found = collect_figures(context.formulation)
     agree(len(set(COMM.allgather(repr(found)))) == 1, found)
     agree(cost.iterations == ksp.getIterationNumber() and cost.seconds_solve > 0.0, cost)
     K, f = comparison.assembled_system(A, b)

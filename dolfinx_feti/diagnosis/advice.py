@@ -8,10 +8,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
+from dolfinx_feti.diagnosis.figures import Figures
 from dolfinx_feti.feti.report import Report
 
 __all__ = ["Advice", "advise"]
@@ -71,13 +70,11 @@ class Advice:
         return f"{self.text} ({self.quantity}: {self.value:.4g}, threshold {self.threshold:g})"
 
 
-def advise(
-    figures: Mapping[str, Any], report: Report, *, iterations: int, prefix: str
-) -> list[Advice]:
+def advise(figures: Figures, report: Report, *, iterations: int, prefix: str) -> list[Advice]:
     """Return advice on one linear solve.
 
     Args:
-        figures: The figures of a diagnosis, by name (``collect_figures``).
+        figures: The figures of a diagnosis.
         report: The report of the solver.
         iterations: Krylov iterations of the solve.
         prefix: Prefix of the solver's options.
@@ -89,10 +86,11 @@ def advise(
     ]
 
 
-def _advise_on_subdomains(figures: Mapping[str, Any], iterations: int) -> list[Advice]:
+def _advise_on_subdomains(figures: Figures, iterations: int) -> list[Advice]:
     """Return advice on the number and the size of the subdomains."""
-    _, mean, largest = figures["dofs of a subdomain"]
-    has_several = figures["subdomains / process"][2] > 1
+    mean = figures.dofs_per_subdomain.mean
+    unevenness = figures.dofs_per_subdomain.largest / mean
+    has_several = figures.subdomains_per_process.largest > 1
     has_many_iterations = iterations > MANY_ITERATIONS
     size = "mean dofs of a subdomain"
     advice = []
@@ -103,21 +101,21 @@ def _advise_on_subdomains(figures: Mapping[str, Any], iterations: int) -> list[A
         advice.append(Advice(text, "iterations", iterations, MANY_ITERATIONS))
     if mean > MANY_DOFS and not has_many_iterations:
         advice.append(Advice("Take more subdomains.", size, mean, MANY_DOFS))
-    if largest / mean > UNEVEN:
+    if unevenness > UNEVEN:
         quantity = "largest subdomain over mean"
-        advice.append(Advice("Cut the mesh more evenly.", quantity, largest / mean, UNEVEN))
+        advice.append(Advice("Cut the mesh more evenly.", quantity, unevenness, UNEVEN))
     return advice
 
 
 def _advise_on_method(
-    figures: Mapping[str, Any], report: Report, iterations: int, prefix: str
+    figures: Figures, report: Report, iterations: int, prefix: str
 ) -> list[Advice]:
     """Return advice on scaling, formulation and coarse space."""
     lowest, highest = report.eigenvalues
     condition = highest / lowest if lowest > 0.0 else 0.0
     is_dual = report.formulation == "dual"
     advice = []
-    jump = figures["jump of stiffness"]
+    jump = figures.stiffness_jump
     if report.options.scaling == "multiplicity" and jump > STIFFNESS_JUMP:
         text = f"Weigh the copies by stiffness, -{prefix}feti_scaling stiffness."
         quantity = "jump of the stiffness between subdomains"
@@ -138,11 +136,12 @@ def _advise_on_method(
     return advice
 
 
-def _advise_on_problem(figures: Mapping[str, Any], report: Report) -> list[Advice]:
+def _advise_on_problem(figures: Figures, report: Report) -> list[Advice]:
     """Return advice on elements, parameters and loads."""
     advice = []
-    stiffening = figures.get("stiffer by pressures", 1.0)
-    if figures.get("pressures per dof", 0.0) > PRESSURES_PER_DOF and stiffening > STIFFENING:
+    has_many_pressures = (figures.pressures_per_dof or 0.0) > PRESSURES_PER_DOF
+    stiffening = figures.pressure_stiffening or 1.0
+    if has_many_pressures and stiffening > STIFFENING:
         text = (
             "Take P2 displacements or a smaller κ: with more pressures than dofs, a nearly "
             "incompressible body locks."

@@ -291,7 +291,7 @@ class TornProblem:
             self.create_linear_solver,
             state=self._present_x(),
             prefix=self._prefix,
-            known=[*self._advice_of_solves(), *self._advice_on_cells(volumes)],
+            earlier_advice=[*self._advice_of_solves(), *self._advice_on_cells(volumes)],
             volumes=volumes,
         )
 

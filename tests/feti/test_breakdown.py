@@ -366,7 +366,7 @@ def test_advice_of_a_diagnosis_is_not_in_force(formulation, scaling, modes):
     chosen = {"feti_scaling": scaling, "feti_coarse_modes": modes}
     chosen |= {"feti_formulation": formulation}
     found = torn(elasticity(cube(2, 8)), 2 * COMM.size, "test_", **chosen).diagnose()
-    figures = {**found.figures, "jump of stiffness": 1e9}
+    figures = replace(found.figures, stiffness_jump=1e9)
     report = replace(found.report, eigenvalues=(1.0, 1e9), floor=1e-5)
     said = advice.advise(figures, report, iterations=1000, prefix="test_")
     new = recommended(" ".join(piece.text for piece in said))

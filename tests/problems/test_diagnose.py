@@ -20,6 +20,7 @@ import ufl
 
 from dolfinx_feti import NonlinearProblem
 from dolfinx_feti.diagnosis import advice
+from dolfinx_feti.diagnosis.figures import figure_text
 
 
 def quantities(problem):
@@ -39,16 +40,17 @@ def test_figures_of_a_linear_problem(solve):
     report = found.report
     count = COMM.allreduce(problem.decomposition.count)
     agree(report.subdomains == count and len(found.residuals) == count)
-    agree(report.dofs == 3 * 5**3 == sum(figures["dofs by copies"]))
-    torn = sum(n * m for m, n in enumerate(figures["dofs by copies"], start=1))
+    agree(report.dofs == 3 * 5**3 == sum(figures.dofs_by_copies))
+    torn = sum(n * m for m, n in enumerate(figures.dofs_by_copies, start=1))
     agree(torn == report.torn_dofs)
-    least, mean, most = figures["dofs of a subdomain"]
-    small(mean - torn / count, 1e-9)
-    small(figures["dofs / process"][1] - torn / COMM.size, 1e-9)
-    agree(least <= mean <= most and (least, most) == report.dofs_local)
-    agree(0.0 < figures["interface share"][0] <= figures["interface share"][2] <= 1.0)
-    agree(figures["rigid body modes"] == "3 translations, 3 rotations")
-    agree(figures["jump of stiffness"] >= 1.0 and "pressures per dof" not in figures)
+    dofs = figures.dofs_per_subdomain
+    small(dofs.mean - torn / count, 1e-9)
+    small(figures.dofs_per_process.mean - torn / COMM.size, 1e-9)
+    agree(dofs.smallest <= dofs.mean <= dofs.largest, dofs)
+    agree((dofs.smallest, dofs.largest) == report.dofs_local, dofs)
+    agree(0.0 < figures.interface_share.smallest <= figures.interface_share.largest <= 1.0)
+    agree(figures.near_kernel == "3 translations, 3 rotations")
+    agree(figures.stiffness_jump >= 1.0 and figures.pressures_per_dof is None)
     agree(found.method == "cg" and found.iterations > 3 and found.message == "")
     small(found.relative_residual, 1e-8)
     agree(found.seconds["set-up"] > 0.0 and found.seconds["solve"] > 0.0)
@@ -59,6 +61,14 @@ def test_figures_of_a_linear_problem(solve):
     agree(all(other == str(found) for other in COMM.allgather(str(found))))
     for word in ("condition number", "3 rotations", "coarse size", f"{report.dofs}, torn"):
         agree(word in str(found), found)
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.26149, "0.261"), (7, "7"), (2379.4, "2379"), (np.nan, "–")]
+)
+def test_a_figure_has_three_digits(value, text):
+    assert figure_text(value) == text
 
 
 def test_residuals_are_those_of_the_state():
@@ -83,7 +93,7 @@ def test_next_newton_step():
     found = problem.diagnose()
     equal(body.u.x.array, u)
     small(np.linalg.norm(found.residuals) / problem.residual_norm() - 1.0, 1e-9)
-    agree(found.figures["pressures per dof"] > 0.0 and found.figures["stiffer by pressures"] > 1.0)
+    agree(found.figures.pressures_per_dof > 0.0 and found.figures.pressure_stiffening > 1.0)
     agree("pressures" in str(found))
 
 
@@ -98,7 +108,7 @@ def test_without_a_load():
 def test_solve_that_fails():
     """Nothing was built; the message tells why."""
     found = torn(elasticity(cube(3, 3), clamped=None), 4).diagnose()
-    agree(found.report is None and found.advice == () and not found.figures)
+    agree(found.report is None and found.advice == () and found.figures is None)
     agree("singular" in found.message and "singular" in str(found))
     agree(found.records[0]["report"] is None)
 
