@@ -3,12 +3,15 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """FETI and other solvers compared: on the same linear system, with the same measure of cost.
 
+A new solver is an entry of ``SOLVERS``, or of the dict that a user gives to ``compare``: a name and
+PETSc's options. If it needs a package of PETSc, that is a name in ``PACKAGES``.
+
 In the order of the data: solvers, run.
 """
 
 from dolfinx_feti.comparison.run import Comparison, SolverResult, compare
 
-# For comparisons of one's own; also importable from here.
+# Parts of ``compare``, for scripts that compare in another way; not in __all__.
 from dolfinx_feti.comparison.solvers import SOLVERS as SOLVERS
 from dolfinx_feti.comparison.solvers import assembled_system as assembled_system
 from dolfinx_feti.comparison.solvers import create_solver as create_solver

@@ -21,14 +21,13 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.comparison.solvers import (
+    DIRECT,
     SOLVERS,
+    Solver,
     assembled_system,
     create_solver,
-    is_feti,
-    missing,
     relative_difference,
     relative_residual,
-    takes_torn,
 )
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.feti.subdomain.factors.petsc_solver import failure_message
@@ -54,9 +53,6 @@ HEAD = (
     "difference",
     "",
 )
-
-#: The solver whose solution is the reference.
-DIRECT = "mumps"
 
 #: ‖f − K x‖/‖f‖ up to which a direct solution is a reference. A bound, not a measurement: factors
 #: of well-conditioned systems leave 1e-14, those that this refuses have lost most digits.
@@ -131,8 +127,9 @@ class Comparison:
             record["error_estimate"] = result.error_estimate
             record["difference_to_direct"] = result.difference_to_direct
             records.append(record)
-        for name, why in self.left_out:
-            records.append({"solver": name, **size, "converged": False, "note": f"left out: {why}"})
+        for name, reason in self.left_out:
+            note = f"left out: {reason}"
+            records.append({"solver": name, **size, "converged": False, "note": note})
         for record in records:
             for key, value in record.items():
                 record[key] = json_value(value)
@@ -145,7 +142,7 @@ class Comparison:
             f"relative tolerance {self.rtol:g}",
             text_table(HEAD, [_row(s) for s in self.results]),
         ]
-        lines += [f"left out: {name}, {why}" for name, why in self.left_out]
+        lines += [f"left out: {name}, {reason}" for name, reason in self.left_out]
         return "\n".join(lines)
 
 
@@ -157,8 +154,8 @@ def _row(result: SolverResult) -> list[Cell]:
         row += [None, None, None, None]
     else:
         row.append(cost.iterations)
-        row.append(f"{cost.seconds_setup:.2f}".rjust(len("set-up [s]")))
-        row.append(f"{cost.seconds_solve:.2f}".rjust(len("solve [s]")))
+        row.append(_seconds(cost.seconds_setup, "set-up [s]"))
+        row.append(_seconds(cost.seconds_solve, "solve [s]"))
         row.append(round(cost.peak_mib) if math.isfinite(cost.peak_mib) else None)
     row.append(_power_of_ten(result.relative_residual))
     row.append(_power_of_ten(result.error_estimate))
@@ -167,20 +164,59 @@ def _row(result: SolverResult) -> list[Cell]:
     return row
 
 
+def _seconds(value: float, heading: str) -> str:
+    """Format a time below the right end of its heading; a table aligns text to the left."""
+    return f"{value:.2f}".rjust(len(heading))
+
+
 def _power_of_ten(value: float) -> str:
     """Format an error with one digit, such as ``3e-9``; a dash for nan."""
     return "–" if math.isnan(value) else f"{value:.0e}".replace("e-0", "e-")
 
 
 @dataclass(frozen=True, slots=True)
-class _Outcome:
-    """The result of one solver, before it is compared with the others."""
+class _LinearSystem:
+    """The linear system that all solvers solve.
 
-    cost: Cost | None  #: None if PETSc raised an error
-    x: PETSc.Vec | None  #: The solution; None without one
+    Attributes:
+        A: Torn matrix.
+        b: Right-hand side of the torn matrix.
+        K: Assembled matrix, with unit rows and columns at the Dirichlet dofs.
+        f: Right-hand side of K, zero at the Dirichlet dofs.
+        dirichlet: Global numbers of the Dirichlet dofs that this process owns; None without any.
+        rtol: Relative tolerance of iterative solvers.
+    """
+
+    A: PETSc.Mat
+    b: PETSc.Vec
+    K: PETSc.Mat
+    f: PETSc.Vec
+    dirichlet: PETSc.IS | None
+    rtol: float
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether K is marked as symmetric."""
+        return bool(all(self.K.isSymmetricKnown()))
+
+
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    """What one solver has done, before it is compared with the others.
+
+    Attributes:
+        cost: What it took; None if PETSc raised an error.
+        x: The solution; None without one.
+        note: Why it failed, or what is to be said of its solution.
+        proves_definite: Whether it is FETI and has proved that K is positive definite.
+        error_estimate: FETI's estimate of the relative error of x.
+    """
+
+    cost: Cost | None
+    x: PETSc.Vec | None
     note: str = ""
-    definite: bool = False  #: Whether FETI has proved that K is positive definite
-    error_estimate: float = np.nan  #: FETI's estimate of the relative error of x
+    proves_definite: bool = False
+    error_estimate: float = np.nan
 
 
 def compare(
@@ -216,78 +252,153 @@ def compare(
     require_type((LinearProblem, NonlinearProblem), problem=problem)
     comm = problem.decomposition.mesh.comm
     left_out: list[tuple[str, str]] = []
-    present: dict[str, Mapping[str, object]] = {}
-    for name, options in _checked(solvers, comm).items():
-        why = missing(options)
-        if why:
-            left_out.append((name, why))
+    present: list[Solver] = []
+    for solver in _checked(solvers, comm):
+        package = solver.missing_package()
+        if package:
+            left_out.append((solver.name, f"this PETSc was built without {package}"))
         else:
-            present[name] = options
+            present.append(solver)
     with Lifetime() as owned:
-        A, b = problem.linear_system()
-        K, f = assembled_system(A, owned.own(b))
-        owned.own(K)
-        owned.own(f)
-        dirichlet = A.query("dirichlet")
-        _set_zero(f, dirichlet)
-        if not f.norm() > 0.0:
-            raise ValueError(
-                "The right-hand side of the problem is zero, and so is every solution: set a load "
-                "before the solvers are compared."
-            )
-        rtol = owned.own(problem.create_linear_solver()).getTolerances()[0]
-        outcomes: dict[str, _Outcome] = {}
-        for name, options in present.items():  # FETI first: it proves whether K is definite
-            if is_feti(name, options):
-                create = partial(problem.create_linear_solver, options)
-                outcomes[name] = _solve(create, b, owned)
+        system = _assemble(problem, owned)
+        outcomes = _solve_by_feti(problem, present, system, owned)
         if definite is None:
-            definite = any(outcome.definite for outcome in outcomes.values())
-        symmetric = bool(all(K.isSymmetricKnown()))
-        marks = {"symmetric": symmetric, "definite": bool(definite) and symmetric}
-        if marks["definite"]:
-            K.setOption(PETSc.Mat.Option.SPD, True)
-        for name, options in present.items():
-            if name == DIRECT and options is SOLVERS[DIRECT]:
-                outcomes[name] = _solve_directly(K, f, owned)
-            elif name not in outcomes:
-                M = A if takes_torn(name, options) else K
-                create = partial(create_solver, M, name, options, rtol=rtol, **marks)
-                outcomes[name] = _solve(create, f, owned)
-        errors = {}
-        for name, outcome in outcomes.items():
-            if outcome.x is not None:
-                _set_zero(outcome.x, dirichlet)
-                errors[name] = relative_residual(K, f, outcome.x)
-        direct = outcomes[DIRECT].x if errors.get(DIRECT, np.inf) <= REFERENCE_RTOL else None
-        results = []
-        for name in present:
-            outcome = outcomes[name]
-            error = errors.get(name, np.nan)
-            note = outcome.note
-            if error > RESIDUAL_MARGIN * rtol and not note:
-                note = f"the residual is above {rtol:.0e}"
-            difference = np.nan
-            if outcome.x is not None and direct is not None:
-                difference = relative_difference(outcome.x, direct)
-            results.append(
-                SolverResult(
-                    solver=name,
-                    cost=outcome.cost,
-                    relative_residual=error,
-                    error_estimate=outcome.error_estimate,
-                    difference_to_direct=difference,
-                    note=note,
-                )
-            )
+            definite = any(outcome.proves_definite for outcome in outcomes.values())
+        others = [solver for solver in present if not solver.is_feti]
+        outcomes |= _solve_by_others(others, system, owned, is_definite=definite)
+        ordered = {solver.name: outcomes[solver.name] for solver in present}
         return Comparison(
-            dofs=f.getSize(),
+            dofs=system.f.getSize(),
             subdomains=comm.allreduce(problem.decomposition.count),
             processes=comm.size,
-            rtol=rtol,
-            results=tuple(results),
+            rtol=system.rtol,
+            results=_results(system, ordered),
             left_out=tuple(left_out),
         )
+
+
+def _assemble(problem: LinearProblem | NonlinearProblem, owned: Lifetime) -> _LinearSystem:
+    """Assemble the linear system of a problem. Collective.
+
+    Args:
+        problem: The problem, which keeps A.
+        owned: Destroys all but A in the end.
+
+    Raises:
+        ValueError: The right-hand side is zero.
+    """
+    A, b = problem.linear_system()
+    owned.own(b)
+    K, f = assembled_system(A, b)
+    owned.own(K)
+    owned.own(f)
+    dirichlet = A.query("dirichlet")
+    _set_zero(f, dirichlet)
+    if not f.norm() > 0.0:
+        raise ValueError(
+            "The right-hand side of the problem is zero, and so is every solution: set a load "
+            "before the solvers are compared."
+        )
+    rtol = owned.own(problem.create_linear_solver()).getTolerances()[0]
+    return _LinearSystem(A, b, K, f, dirichlet, rtol)
+
+
+def _solve_by_feti(
+    problem: LinearProblem | NonlinearProblem,
+    solvers: Sequence[Solver],
+    system: _LinearSystem,
+    owned: Lifetime,
+) -> dict[str, _Outcome]:
+    """Solve by those solvers that are FETI. Collective.
+
+    Args:
+        problem: The problem, whose options the solvers' own ones replace.
+        solvers: All solvers.
+        system: The linear system.
+        owned: Destroys the solutions in the end.
+
+    Returns:
+        Outcomes by the names of solvers.
+    """
+    outcomes = {}
+    for solver in solvers:
+        if solver.is_feti:
+            create = partial(problem.create_linear_solver, solver.options)
+            outcomes[solver.name] = _solve(create, system.b, owned)
+    return outcomes
+
+
+def _solve_by_others(
+    solvers: Sequence[Solver], system: _LinearSystem, owned: Lifetime, *, is_definite: bool
+) -> dict[str, _Outcome]:
+    """Solve by solvers that are not FETI. Collective.
+
+    Args:
+        solvers: The solvers.
+        system: The linear system.
+        owned: Destroys the solutions in the end.
+        is_definite: Whether K is positive definite; ignored if it is not symmetric.
+
+    Returns:
+        Outcomes by the names of solvers.
+    """
+    is_spd = is_definite and system.is_symmetric
+    if is_spd:
+        system.K.setOption(PETSc.Mat.Option.SPD, True)
+    default_direct_solver = Solver(DIRECT, SOLVERS[DIRECT])
+    outcomes = {}
+    for solver in solvers:
+        if solver == default_direct_solver:
+            outcomes[solver.name] = _solve_directly(system.K, system.f, owned)
+            continue
+        create = partial(
+            create_solver,
+            system.A if solver.uses_torn_matrix else system.K,
+            solver.name,
+            solver.options,
+            rtol=system.rtol,
+            symmetric=system.is_symmetric,
+            definite=is_spd,
+        )
+        outcomes[solver.name] = _solve(create, system.f, owned)
+    return outcomes
+
+
+def _results(system: _LinearSystem, outcomes: Mapping[str, _Outcome]) -> tuple[SolverResult, ...]:
+    """Measure all solutions in the same way. Collective.
+
+    Args:
+        system: The linear system.
+        outcomes: Outcomes by the names of solvers, in the order of the results.
+    """
+    errors = {}
+    for name, outcome in outcomes.items():
+        errors[name] = np.nan
+        if outcome.x is not None:
+            _set_zero(outcome.x, system.dirichlet)
+            errors[name] = relative_residual(system.K, system.f, outcome.x)
+    reference = None
+    if errors.get(DIRECT, np.nan) <= REFERENCE_RTOL:
+        reference = outcomes[DIRECT].x
+    results = []
+    for name, outcome in outcomes.items():
+        note = outcome.note
+        if errors[name] > RESIDUAL_MARGIN * system.rtol and not note:
+            note = f"the residual is above {system.rtol:.0e}"
+        difference = np.nan
+        if outcome.x is not None and reference is not None:
+            difference = relative_difference(outcome.x, reference)
+        results.append(
+            SolverResult(
+                solver=name,
+                cost=outcome.cost,
+                relative_residual=errors[name],
+                error_estimate=outcome.error_estimate,
+                difference_to_direct=difference,
+                note=note,
+            )
+        )
+    return tuple(results)
 
 
 def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec, owned: Lifetime) -> _Outcome:
@@ -303,23 +414,45 @@ def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec, owned: Lifetime) -> _O
         cost, ksp = on_all(lambda: timed_solve(create, b, x), b.comm.tompi4py())
     except (PETSc.Error, RuntimeError, ImportError) as error:
         return _Outcome(None, None, f"failed: {error_message(error).splitlines()[-1]}")
-    why = _name(cost.converged_reason)
-    definite = False
-    pc = ksp.getPC()
-    error_estimate = np.nan
-    if ksp.getType() == PETSc.KSP.Type.PYTHON and isinstance(ksp.getPythonContext(), FETI):
-        feti = ksp.getPythonContext()
-        why = feti.message or why
+    has_converged = cost.converged_reason > 0
+    outcome = _Outcome(
+        cost=cost,
+        x=x if has_converged else None,
+        note="" if has_converged else f"failed: {_failure(ksp)}",
+    )
+    feti = _feti_of(ksp)
+    if feti is not None:
         inertia = feti.inertia
-        definite = inertia is not None and inertia.is_definite and not inertia.interior
-        error_estimate = feti.error_estimate
-    failed = PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED
-    if cost.converged_reason == failed and pc.getType() in ("cholesky", "lu"):
-        why = failure_message(pc)
+        is_proved = inertia is not None and inertia.is_definite and not inertia.interior
+        outcome = replace(outcome, proves_definite=is_proved)
+        if has_converged:
+            outcome = replace(outcome, error_estimate=feti.error_estimate)
     ksp.destroy()
-    if cost.converged_reason > 0:
-        return _Outcome(cost, x, definite=definite, error_estimate=error_estimate)
-    return _Outcome(cost, None, f"failed: {why}", definite)
+    return outcome
+
+
+def _feti_of(ksp: PETSc.KSP) -> FETI | None:
+    """Return the FETI solver of a KSP; None if it is another solver."""
+    if ksp.getType() != PETSc.KSP.Type.PYTHON:
+        return None
+    context = ksp.getPythonContext()
+    return context if isinstance(context, FETI) else None
+
+
+def _failure(ksp: PETSc.KSP) -> str:
+    """Return why a solver did not converge: its own message, or PETSc's name of the reason."""
+    reason = ksp.getConvergedReason()
+    feti = _feti_of(ksp)
+    if feti is not None and feti.message:
+        return feti.message
+    pc = ksp.getPC()
+    failed_setup = PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED
+    if reason == failed_setup and pc.getType() in ("cholesky", "lu"):
+        return failure_message(pc)
+    for name, value in vars(PETSc.KSP.ConvergedReason).items():
+        if value == reason and name.startswith("DIVERGED"):
+            return name
+    return str(reason)
 
 
 def _solve_directly(K: PETSc.Mat, f: PETSc.Vec, owned: Lifetime) -> _Outcome:
@@ -330,32 +463,28 @@ def _solve_directly(K: PETSc.Mat, f: PETSc.Vec, owned: Lifetime) -> _Outcome:
         f: Right-hand side.
         owned: Destroys the solutions in the end.
     """
+
+    def solve(*, symmetric: bool) -> tuple[_Outcome, float]:
+        """Return the outcome and the relative residual, nan without a solution."""
+        outcome = _solve(partial(create_solver, K, DIRECT, symmetric=symmetric), f, owned)
+        residual = np.nan if outcome.x is None else relative_residual(K, f, outcome.x)
+        return outcome, residual
+
     notes = []
-    factorisations = (True, False) if all(K.isSymmetricKnown()) else (False,)
-    for symmetric in factorisations:
-        outcome = _solve(partial(create_solver, K, symmetric=symmetric), f, owned)
-        error = np.nan if outcome.x is None else relative_residual(K, f, outcome.x)
-        if outcome.x is None or error <= REFERENCE_RTOL:
-            break
-        if symmetric:
-            notes.append(f"by LU, as Cholesky leaves a residual of {error:.0e}")
-        else:
-            notes.append(f"no reference: the residual is above {REFERENCE_RTOL:.0e}")
+    is_symmetric = bool(all(K.isSymmetricKnown()))
+    outcome, residual = solve(symmetric=is_symmetric)
+    if is_symmetric and residual > REFERENCE_RTOL:
+        notes.append(f"by LU, as Cholesky leaves a residual of {residual:.0e}")
+        outcome, residual = solve(symmetric=False)
+    if residual > REFERENCE_RTOL:
+        notes.append(f"no reference: the residual is above {REFERENCE_RTOL:.0e}")
     if outcome.note:
         notes.append(outcome.note)
     return replace(outcome, note="; ".join(notes))
 
 
-def _name(reason: int) -> str:
-    """Return PETSc's name of a negative converged reason."""
-    for name, value in vars(PETSc.KSP.ConvergedReason).items():
-        if value == reason and name.startswith("DIVERGED"):
-            return name
-    return str(reason)
-
-
-def _checked(solvers: Sequence[str] | Solvers, comm: MPI.Comm) -> dict[str, Mapping[str, object]]:
-    """Return the options of each solver. Collective.
+def _checked(solvers: Sequence[str] | Solvers, comm: MPI.Comm) -> list[Solver]:
+    """Return the solvers that a user has chosen, in this order. Collective.
 
     Raises:
         ValueError: A solver is unknown, there is none, or processes have different ones.
@@ -370,15 +499,15 @@ def _checked(solvers: Sequence[str] | Solvers, comm: MPI.Comm) -> dict[str, Mapp
                 f"solvers is {everywhere[0]!r} on process 0 and {other!r} on process {rank}: give "
                 "the same on all."
             )
-    given = solvers if isinstance(solvers, Mapping) else {}
-    unknown = [name for name in names if name not in SOLVERS and not given.get(name)]
+    options_of_user = solvers if isinstance(solvers, Mapping) else {}
+    unknown = [name for name in names if name not in SOLVERS and not options_of_user.get(name)]
     if unknown or not names:
-        what = f"solvers has {unknown[0]!r}" if unknown else "solvers is empty"
+        problem = f"solvers has {unknown[0]!r}" if unknown else "solvers is empty"
         known = ", ".join(SOLVERS)
         raise ValueError(
-            f"{what}: choose from {known}, or give a dict of names and PETSc's options."
+            f"{problem}: choose from {known}, or give a dict of names and PETSc's options."
         )
-    return {name: given.get(name) or SOLVERS[name] for name in names}
+    return [Solver(name, options_of_user.get(name) or SOLVERS[name]) for name in names]
 
 
 def _set_zero(x: PETSc.Vec, dofs: PETSc.IS | None) -> None:

@@ -11,6 +11,7 @@ prefix is the solver's name; options of the user in PETSc's database override th
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from petsc4py import PETSc
 
@@ -18,15 +19,13 @@ from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.torn.symmetry import is_symmetric
 
 __all__ = [
+    "DIRECT",
     "SOLVERS",
+    "Solver",
     "assembled_system",
     "create_solver",
-    "is_feti",
-    "missing",
-    "prefix_of",
     "relative_difference",
     "relative_residual",
-    "takes_torn",
 ]
 
 #: Default solvers of a comparison, and their options without prefix. Cholesky becomes LU if the
@@ -47,6 +46,12 @@ SOLVERS: dict[str, Mapping[str, object]] = {
     },
 }
 
+#: The solver of :data:`SOLVERS` whose solution is the reference for the others.
+DIRECT = "mumps"
+
+#: Packages that PETSc may be built without, by the names that options have for them.
+PACKAGES = ("mumps", "cholmod", "superlu_dist", "hypre", "ml")
+
 #: Most iterations of a Krylov method: a choice, some twenty times what FETI needs.
 MAX_IT = 2000
 
@@ -54,6 +59,45 @@ MAX_IT = 2000
 #: default is one dof; set-up may then fail, as a subdomain of a ragged partition has too few
 #: constraints.
 VERTEX_NODES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Solver:
+    """A solver of a comparison.
+
+    Attributes:
+        name: Its name.
+        options: PETSc's options without prefix; empty for FETI with the options of the problem.
+    """
+
+    name: str
+    options: Mapping[str, object]
+
+    @property
+    def prefix(self) -> str:
+        """The prefix of its options, such as ``gamg_elasticity_`` for ``gamg-elasticity``."""
+        return self.name.replace("-", "_") + "_"
+
+    @property
+    def is_feti(self) -> bool:
+        """Whether it is FETI, with the options of the problem or with its own."""
+        has_options_of_feti = all(key.startswith("feti_") for key in self.options)
+        return self.name == "feti" or (bool(self.options) and has_options_of_feti)
+
+    @property
+    def uses_torn_matrix(self) -> bool:
+        """Whether it uses the torn matrix, which is the case for BDDC."""
+        of_user = PETSc.Options(self.prefix)
+        pc_type = of_user.getString("pc_type", str(self.options.get("pc_type", "")))
+        return bool(pc_type == PETSc.PC.Type.BDDC)
+
+    def missing_package(self) -> str:
+        """Return the package that the solver needs and PETSc lacks; an empty string if none."""
+        used = {self.options.get("pc_factor_mat_solver_type"), self.options.get("pc_type")}
+        for package in PACKAGES:
+            if package in used and not PETSc.Sys.hasExternalPackage(package):
+                return package
+        return ""
 
 
 def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
@@ -128,27 +172,24 @@ def create_solver(
         symmetric: Whether the matrix is symmetric; if not given, whether A is marked so.
         definite: Whether the assembled matrix is known to be symmetric positive definite.
     """
-    options = dict(SOLVERS[solver] if options is None else options)
-    prefix = prefix_of(solver)
-    symmetric = bool(all(A.isSymmetricKnown())) if symmetric is None else symmetric
-    if not symmetric and options.get("pc_type") == "cholesky":
-        options["pc_type"] = "lu"
-    if options.get("pc_factor_mat_solver_type") == "mumps" and A.getNullSpace().handle:
-        options.setdefault("mat_mumps_icntl_24", 1)  # zero pivots are expected
-    uses_torn = takes_torn(solver, options)
+    chosen = Solver(solver, SOLVERS[solver] if options is None else options)
+    if symmetric is None:
+        symmetric = bool(all(A.isSymmetricKnown()))
+    defaults = _adapted(chosen.options, A, symmetric=symmetric)
     dirichlet = None
-    if uses_torn:
+    uses_torn_matrix = chosen.uses_torn_matrix
+    if uses_torn_matrix:
         dirichlet = A.query("dirichlet")
         A = _with_unit_rows(A, symmetric, definite)
-        options.setdefault("pc_bddc_vertex_size", VERTEX_NODES * A.getBlockSize())
+        defaults.setdefault("pc_bddc_vertex_size", VERTEX_NODES * A.getBlockSize())
+    of_user = PETSc.Options(chosen.prefix)  # these override ours
+    defaults = {key: value for key, value in defaults.items() if not of_user.hasName(key)}
     ksp = PETSc.KSP().create(A.comm)
-    ksp.setOptionsPrefix(prefix)
+    ksp.setOptionsPrefix(chosen.prefix)
     ksp.setOperators(A)
     ksp.setType(PETSc.KSP.Type.CG if symmetric else PETSc.KSP.Type.GMRES)
     ksp.setTolerances(rtol=rtol, max_it=MAX_IT)
-    of_user = PETSc.Options(prefix)  # these override ours
-    defaults = {key: value for key, value in options.items() if not of_user.hasName(key)}
-    with inserted(prefix, defaults):  # until set-up, which reads options of levels and factors
+    with inserted(chosen.prefix, defaults):  # until set-up, which reads options of levels, factors
         ksp.setFromOptions()
         if ksp.getType() not in (PETSc.KSP.Type.PREONLY, PETSc.KSP.Type.PYTHON):
             if ksp.getType() == PETSc.KSP.Type.GMRES:
@@ -157,39 +198,29 @@ def create_solver(
         pc = ksp.getPC()
         if pc.getType() in (PETSc.PC.Type.CHOLESKY, PETSc.PC.Type.LU):
             pc.setFactorSetUpSolverType()
-            pc.getFactorMatrix().setOptionsPrefix(prefix)  # PETSc creates it without a prefix
+            pc.getFactorMatrix().setOptionsPrefix(chosen.prefix)  # PETSc creates it without one
         if dirichlet is not None:
             pc.setBDDCDirichletBoundaries(dirichlet)
         ksp.setUp()
-    if uses_torn:
+    if uses_torn_matrix:
         A.destroy()  # the KSP has a reference
     return ksp
 
 
-def prefix_of(solver: str) -> str:
-    """Return the prefix of a solver's options, ``gamg_elasticity_`` for ``gamg-elasticity``."""
-    return solver.replace("-", "_") + "_"
+def _adapted(options: Mapping[str, object], A: PETSc.Mat, *, symmetric: bool) -> dict[str, object]:
+    """Return the options of a direct solver that fit the matrix; those of others as they are.
 
-
-def missing(options: Mapping[str, object]) -> str:
-    """Return why PETSc cannot run a solver: a missing package; an empty string if it can."""
-    named = {options.get("pc_factor_mat_solver_type"), options.get("pc_type")}
-    for package in ("mumps", "cholmod", "superlu_dist", "hypre", "ml"):
-        if package in named and not PETSc.Sys.hasExternalPackage(package):
-            return f"this PETSc was built without {package}"
-    return ""
-
-
-def is_feti(solver: str, options: Mapping[str, object]) -> bool:
-    """Return True if a solver is FETI, with the options of the problem or with its own."""
-    return solver == "feti" or (bool(options) and all(key.startswith("feti_") for key in options))
-
-
-def takes_torn(solver: str, options: Mapping[str, object]) -> bool:
-    """Return True if a solver uses the torn matrix, which is the case for BDDC."""
-    of_user = PETSc.Options(prefix_of(solver))
-    pc_type = of_user.getString("pc_type", str(options.get("pc_type", "")))
-    return bool(pc_type == PETSc.PC.Type.BDDC)
+    Args:
+        options: PETSc's options without prefix.
+        A: The matrix.
+        symmetric: Whether it is symmetric.
+    """
+    adapted = dict(options)
+    if not symmetric and adapted.get("pc_type") == "cholesky":
+        adapted["pc_type"] = "lu"
+    if adapted.get("pc_factor_mat_solver_type") == "mumps" and A.getNullSpace().handle:
+        adapted.setdefault("mat_mumps_icntl_24", 1)  # zero pivots are expected
+    return adapted
 
 
 def _with_unit_rows(A: PETSc.Mat, symmetric: bool, definite: bool) -> PETSc.Mat:
