@@ -51,7 +51,7 @@ from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace, pack
 from dolfinx_feti.feti.subsolver_options import DirectOptions
 from dolfinx_feti.meshes.arguments import count
 from dolfinx_feti.runtime.arrays import Array, Indices
-from dolfinx_feti.runtime.petsc_library import rows_of
+from dolfinx_feti.runtime.petsc_library import csr_of
 from dolfinx_feti.torn.connectivity import block_graph
 
 T = TypeVar("T")
@@ -127,7 +127,7 @@ def find_fronts(cube: Cube, task: str) -> Fronts:
     n = cube.K.getSize()[0]
     everything = np.arange(n, dtype=np.int32)
     interface = cube.interface if task == "eliminate" else everything[:0]
-    with rows_of(cube.K) as rows:
+    with csr_of(cube.K) as rows:
         graph = block_graph(rows, 3)
     return create_fronts(load_fronts(MPI.COMM_SELF), graph, everything, everything, 3, interface)
 
@@ -138,7 +138,7 @@ def measure_multifrontal(cube: Cube, task: str, rounds: int) -> tuple[Factor, Ar
     work = WorkSpace()
 
     def factor() -> FrontElimination:
-        with rows_of(cube.K) as rows:
+        with csr_of(cube.K) as rows:
             eliminated = fronts.factor(rows, work)
         assert eliminated is not None
         return eliminated

@@ -37,7 +37,7 @@ import numpy as np
 
 from dolfinx_feti.runtime.arrays import Array, Integers, Mask
 from dolfinx_feti.runtime.collective import total_of
-from dolfinx_feti.runtime.petsc_library import rows_of
+from dolfinx_feti.runtime.petsc_library import csr_of
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.rounding import EPS
 
@@ -229,7 +229,7 @@ def _coupling_and_weights(torn: Torn) -> tuple[Array, Array]:
 def _row_squares(torn: Torn, rows: Integers) -> Array:
     """Return Σ_j a_{ci,dj}² of some rows of K by the components d of the columns, (rows, bs)."""
     bs = torn.A.getBlockSize()
-    with rows_of(torn.K) as csr:
+    with csr_of(torn.K) as csr:
         # Where the entries of these rows are in the CSR arrays, one row after the other, and to
         # which of the rows each belongs.
         first = csr.indptr[rows]

@@ -29,8 +29,8 @@ _ROW_IJ_ARGUMENTS = (_Handle, _Int, _Int, _Int, _Pointer, _Pointer, _Pointer, _P
 _ARRAY_ARGUMENTS = (_Handle, _Pointer)
 
 
-class Rows(NamedTuple):
-    """A sparse matrix by compressed rows.
+class CSRMatrix(NamedTuple):
+    """A sparse matrix by compressed rows, (n, n).
 
     Attributes:
         indptr: Place of the first entry of each row, (n + 1,).
@@ -84,15 +84,15 @@ def _row_access() -> _RowAccess | None:
 
 
 def reads_in_place() -> bool:
-    """Return True if :func:`rows_of` yields the arrays of the matrix itself, not copies."""
+    """Return True if :func:`csr_of` yields the arrays of the matrix itself, not copies."""
     return _row_access() is not None and PETSc.IntType().itemsize == 4
 
 
 @contextmanager
-def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
-    """Context with the arrays of a sequential AIJ matrix.
+def csr_of(K: PETSc.Mat) -> Iterator[CSRMatrix]:
+    """Context with a sequential AIJ matrix by compressed rows.
 
-    They are read-only views into the matrix, valid inside of the context, or copies if PETSc has
+    The arrays are read-only views into the matrix, valid inside of the context, or copies if PETSc has
     no views or no 32-bit indices (:func:`reads_in_place`).
 
     Raises:
@@ -101,14 +101,14 @@ def rows_of(K: PETSc.Mat) -> Iterator[Rows]:
     access = _row_access()
     if K.getSize()[0] == 0 or access is None or not reads_in_place():
         indptr, indices, values = K.getValuesCSR()
-        yield Rows(indptr.astype(np.int32), indices.astype(np.int32), values)
+        yield CSRMatrix(indptr.astype(np.int32), indices.astype(np.int32), values)
         return
-    with _row_views(K, access) as rows:
-        yield rows
+    with _row_views(K, access) as csr:
+        yield csr
 
 
 @contextmanager
-def _row_views(K: PETSc.Mat, access: _RowAccess) -> Iterator[Rows]:
+def _row_views(K: PETSc.Mat, access: _RowAccess) -> Iterator[CSRMatrix]:
     """Context with read-only views into a SeqAIJ matrix of at least one row."""
     n = ctypes.c_int()
     is_done = ctypes.c_int()
@@ -132,7 +132,7 @@ def _row_views(K: PETSc.Mat, access: _RowAccess) -> Iterator[Rows]:
                 values = np.ctypeslib.as_array(values_address, (entries,))
             for array in (indptr, indices, values):
                 array.flags.writeable = False
-            yield Rows(indptr, indices, values)
+            yield CSRMatrix(indptr, indices, values)
         finally:
             access.restore_values(K.handle, ctypes.byref(values_address))
     finally:
@@ -141,7 +141,7 @@ def _row_views(K: PETSc.Mat, access: _RowAccess) -> Iterator[Rows]:
 
 def _not_seqaij(K: PETSc.Mat) -> RuntimeError:
     """Return the error of a matrix whose arrays PETSc does not give access to."""
-    return RuntimeError(f"rows can be read only from a SeqAIJ matrix, and this is {K.getType()}")
+    return RuntimeError(f"rows can be read only from a SeqAIJ matrix, and this one is {K.getType()}")
 
 
 def product(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:
@@ -191,5 +191,5 @@ def pattern_state(K: PETSc.Mat) -> tuple[int, ...]:
         changes(K.handle, ctypes.byref(count))
     if not K.getType().startswith("seqaij") or K.getSize()[0] == 0 or not reads_in_place():
         return (count.value, entries)
-    with rows_of(K) as arrays:
+    with csr_of(K) as arrays:
         return (count.value, entries, *(array.ctypes.data for array in arrays))

@@ -13,14 +13,14 @@ import scipy.sparse
 import scipy.sparse.csgraph
 
 from dolfinx_feti.runtime.arrays import Indices
-from dolfinx_feti.runtime.petsc_library import Rows, rows_of
+from dolfinx_feti.runtime.petsc_library import CSRMatrix, csr_of
 
 
-def block_graph(K: Rows, bs: int) -> scipy.sparse.csr_array:
+def block_graph(K: CSRMatrix, bs: int) -> scipy.sparse.csr_array:
     """Return which blocks of bs dofs a matrix couples.
 
     Args:
-        K: The CSR arrays of the matrix, (n, n).
+        K: The matrix, (n, n).
         bs: Dofs of a block.
 
     Returns:
@@ -75,8 +75,8 @@ def diagonal_places(K: PETSc.Mat) -> Indices:
     """
     n = K.getSize()[0]
     place = np.full(n, -1, dtype=np.int32)
-    with rows_of(K) as rows:
-        row = np.repeat(np.arange(n, dtype=np.int32), np.diff(rows.indptr))
-        on_diagonal = np.flatnonzero(rows.indices == row)
+    with csr_of(K) as csr:
+        row = np.repeat(np.arange(n, dtype=np.int32), np.diff(csr.indptr))
+        on_diagonal = np.flatnonzero(csr.indices == row)
         place[row[on_diagonal]] = on_diagonal
     return place

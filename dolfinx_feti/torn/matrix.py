@@ -30,7 +30,7 @@ from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.runtime.arrays import Array, Integers, Mask, Numbers
 from dolfinx_feti.runtime.collective import DeferredErrors, logger, on_all
 from dolfinx_feti.runtime.lifetime import Lifetime
-from dolfinx_feti.runtime.petsc_library import pattern_state, product, rows_of
+from dolfinx_feti.runtime.petsc_library import pattern_state, product, csr_of
 from dolfinx_feti.runtime.star_forest import (
     Value,
     broadcast,
@@ -323,8 +323,8 @@ class Torn:
 
         def read() -> None:
             bs = self.K.getBlockSize()
-            with rows_of(self.K) as of_K:
-                self.graph = block_graph(of_K, bs)
+            with csr_of(self.K) as csr:
+                self.graph = block_graph(csr, bs)
             self._diagonal_places = diagonal_places(self.K)
             self.subdomains = connected_blocks(self.graph, bs)
 
@@ -407,7 +407,7 @@ class Torn:
 
     def diagonal(self) -> Array:
         """Return the diagonal of K, (n,)."""
-        with rows_of(self.K) as csr:
+        with csr_of(self.K) as csr:
             places = self._diagonal_places
             return np.where(places < 0, 0.0, csr.values[places])
 

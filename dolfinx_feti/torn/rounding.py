@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse
 
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.petsc_library import rows_of
+from dolfinx_feti.runtime.petsc_library import csr_of
 from dolfinx_feti.torn.matrix import Torn
 
 #: Rows whose squares are in memory at once: some megabytes. Twice the number takes twice as much.
@@ -43,7 +43,7 @@ def product_rounding_squares(K: PETSc.Mat, t: Array) -> Array:
     """
     squares = np.zeros(len(t))
     t2 = t**2
-    with rows_of(K) as csr:
+    with csr_of(K) as csr:
         for i in range(0, len(t), CHUNK_ROWS):
             ends = csr.indptr[i : i + CHUNK_ROWS + 1]
             part = slice(ends[0], ends[-1])

@@ -22,7 +22,7 @@ import scipy.sparse
 
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.runtime.petsc_library import product, rows_of
+from dolfinx_feti.runtime.petsc_library import product, csr_of
 
 #: Largest |a_ij − a_ji| of a symmetric matrix, relative to s_i s_j. Rounding errors of assembly and
 #: condensation reach 7e-12 (P2) and 3e-13 (P2–P0) for κ/μ = 10⁶.
@@ -60,8 +60,8 @@ def _has_symmetric_entries(K: PETSc.Mat) -> bool:
     root = np.sqrt(np.abs(K.getDiagonal().array_r))
     if root.all() and _passes_probe(K, root):
         return True
-    with rows_of(K) as rows:
-        A = scipy.sparse.csr_array((rows.values, rows.indices, rows.indptr), K.getSize())
+    with csr_of(K) as csr:
+        A = scipy.sparse.csr_array((csr.values, csr.indices, csr.indptr), K.getSize())
         largest = np.abs(A).max(axis=1).toarray().ravel()
         s = np.sqrt(np.maximum(root**2, MIN_DIAGONAL * largest))
         skew = (A - A.T.tocsr()).tocoo()

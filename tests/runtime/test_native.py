@@ -22,7 +22,7 @@ from collective import COMM, agree, raises
 
 from dolfinx_feti.fem.condensation import condensation
 from dolfinx_feti.runtime import native, petsc_library
-from dolfinx_feti.runtime.petsc_library import c_function, rows_of
+from dolfinx_feti.runtime.petsc_library import c_function, csr_of
 
 
 @pytest.fixture
@@ -202,7 +202,7 @@ def test_rows_of_a_matrix(copied, monkeypatch):
         monkeypatch.setattr(petsc_library, "c_function", lambda *_: None)
     csr = ([0, 2, 3, 4], [0, 2, 1, 2], [1.0, 7.0, 2.0, 3.0])
     K = PETSc.Mat().createAIJ((3, 3), csr=csr, comm=PETSc.COMM_SELF)
-    with rows_of(K) as rows:
+    with csr_of(K) as rows:
         agree(tuple(array.tolist() for array in rows) == csr)
         agree(all(array.dtype == np.int32 for array in rows[:2]))
         agree(copied or not any(array.flags.writeable for array in rows))
@@ -216,7 +216,7 @@ def test_rows_of_a_matrix(copied, monkeypatch):
 def test_rows_without_entries(n):
     K = PETSc.Mat().createAIJ((n, n), nnz=0, comm=PETSc.COMM_SELF)
     K.assemble()
-    with rows_of(K) as rows:
+    with csr_of(K) as rows:
         agree(rows.indptr.tolist() == [0] * (n + 1))
         agree(len(rows.indices) == len(rows.values) == 0)
     K.destroy()
@@ -227,7 +227,7 @@ def test_what_is_not_there():
     K = PETSc.Mat().createDense((2, 2), comm=PETSc.COMM_SELF)
     K.setUp()
     K.assemble()
-    with raises(RuntimeError, "SeqAIJ"), rows_of(K):
+    with raises(RuntimeError, "SeqAIJ"), csr_of(K):
         pass
     K.destroy()
     agree(c_function("MatNoSuchFunction", (ctypes.c_void_p,)) is None)

@@ -14,7 +14,7 @@ import scipy.sparse
 from collective import COMM, agree, dense, equal, raises, whole
 
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.runtime.petsc_library import Rows
+from dolfinx_feti.runtime.petsc_library import CSRMatrix
 from dolfinx_feti.torn.connectivity import block_graph, diagonal_places
 from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed
 from dolfinx_feti.torn.rounding import EPS, product_rounding_squares
@@ -112,7 +112,7 @@ def test_graph_is_that_of_the_blocks(bs, full):
     if not full:
         K.data[rng.permutation(K.nnz)[: K.nnz // 3]] = 0.0
         K.eliminate_zeros()
-    graph = block_graph(Rows(K.indptr, K.indices, K.data), bs)
+    graph = block_graph(CSRMatrix(K.indptr, K.indices, K.data), bs)
     expected = np.abs(K.toarray()).reshape(30, bs, 30, bs).sum(axis=(1, 3)) > 0.0
     agree(np.array_equal(graph.toarray() != 0, expected))
 

@@ -27,7 +27,7 @@ from dolfinx_feti.feti.subsolver_options import DirectOptions
 from dolfinx_feti.runtime.arrays import Indices, Numbers, concatenate
 from dolfinx_feti.runtime.collective import allgather_rows, on_all
 from dolfinx_feti.runtime.lifetime import Lifetime
-from dolfinx_feti.runtime.petsc_library import rows_of
+from dolfinx_feti.runtime.petsc_library import csr_of
 from dolfinx_feti.torn.rounding import EPS
 
 #: Largest number of entries of a factor by fronts: 512 MiB for each computer. A larger one is
@@ -102,8 +102,8 @@ def _definite_factor(fronts: Fronts, matrix: PETSc.Mat, min_pivot: float) -> Fro
         matrix: Sequential matrix, (N_c, N_c).
         min_pivot: The bound.
     """
-    with rows_of(matrix) as matrix_rows:
-        elimination = fronts.factor(matrix_rows, WorkSpace())
+    with csr_of(matrix) as csr:
+        elimination = fronts.factor(csr, WorkSpace())
     if elimination is None:
         return None
     factor = elimination.factor

@@ -19,7 +19,7 @@ from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts
 from dolfinx_feti.feti.subdomain.factors.packed import TILE, PackedMatrix
 from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace, pack
 from dolfinx_feti.feti.subdomain.panels import Panels, load_panels, rows_product
-from dolfinx_feti.runtime.petsc_library import Rows
+from dolfinx_feti.runtime.petsc_library import CSRMatrix
 
 #: Two panels, of two columns on rows 0 and 2, and of one on row 1.
 PANELS = {"starts": [0, 2, 3], "rows": [0, 2, 1], "widths": [2, 1], "values": [1.0, 2, 3, 4, 5]}
@@ -72,7 +72,7 @@ def path(integer=np.int32, real=np.float64):
     indptr = [0, 2, 5, 7]
     indices = [0, 1, 0, 1, 2, 1, 2]
     values = [2.0, -1, -1, 2, -1, -1, 2]
-    return Rows(np.array(indptr, integer), np.array(indices, integer), np.array(values, real))
+    return CSRMatrix(np.array(indptr, integer), np.array(indices, integer), np.array(values, real))
 
 
 def analyse(**wrong):

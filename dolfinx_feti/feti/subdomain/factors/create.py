@@ -58,7 +58,7 @@ from dolfinx_feti.feti.subdomain.failures import on_subdomains
 from dolfinx_feti.feti.subsolver_options import DirectOptions
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.collective import warn
-from dolfinx_feti.runtime.petsc_library import reads_in_place, rows_of
+from dolfinx_feti.runtime.petsc_library import reads_in_place, csr_of
 from dolfinx_feti.torn.matrix import Torn
 
 
@@ -149,8 +149,8 @@ def factor_sparse(
         MemoryError: Memory ran out.
     """
     if symbolic is not None and shift is None and not is_graded and len(rows):
-        with rows_of(K) as K_rows:
-            factor = factor_by_woodbury(symbolic, K_rows, R, rho, work)
+        with csr_of(K) as csr:
+            factor = factor_by_woodbury(symbolic, csr, R, rho, work)
         if factor is not None:
             return factor
     return factor_by_petsc(K, rows, options, R, rho, shift)
@@ -183,8 +183,8 @@ def factor_interior(
         MemoryError: Memory ran out.
     """
     if symbolic is not None:
-        with rows_of(K) as K_rows:
-            eliminated = symbolic.factor(K_rows, work)
+        with csr_of(K) as csr:
+            eliminated = symbolic.factor(csr, work)
         if eliminated is not None:
             return eliminated.factor, eliminated.schur
     return factor_by_petsc(K, rows, options), None

@@ -31,7 +31,7 @@ from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace
 from dolfinx_feti.runtime.arrays import Array, Indices, Mask
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.native import address_of, load_with_header, pointer
-from dolfinx_feti.runtime.petsc_library import Rows
+from dolfinx_feti.runtime.petsc_library import CSRMatrix
 
 SOURCE = Path(__file__).with_name("multifrontal.c")
 
@@ -186,7 +186,7 @@ class Fronts:
         self._n_Γ = int(np.count_nonzero(is_interface_dof))
 
     def factor(
-        self, K: Rows, work: WorkSpace, addend_on_last: Array | None = None
+        self, K: CSRMatrix, work: WorkSpace, addend_on_last: Array | None = None
     ) -> FrontElimination | None:
         """Factor K_II and form S of a matrix with the pattern of the analysis.
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace
 from dolfinx_feti.runtime.arrays import Array, Numbers
-from dolfinx_feti.runtime.petsc_library import Rows
+from dolfinx_feti.runtime.petsc_library import CSRMatrix
 
 
 class FactorInertia(NamedTuple):
@@ -97,7 +97,7 @@ class SymbolicFactor(Protocol):
         """
 
     def factor(
-        self, K: Rows, work: WorkSpace, addend_on_last: Array | None = None
+        self, K: CSRMatrix, work: WorkSpace, addend_on_last: Array | None = None
     ) -> Elimination | None:
         """Factor K_II, and form S, for one matrix with this pattern.
 

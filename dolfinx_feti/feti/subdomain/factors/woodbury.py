@@ -33,7 +33,7 @@ from dolfinx_feti.feti.subdomain.factors.protocol import (
 from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace
 from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 from dolfinx_feti.runtime.arrays import Array, Numbers
-from dolfinx_feti.runtime.petsc_library import Rows
+from dolfinx_feti.runtime.petsc_library import CSRMatrix
 
 #: Smallest singular value of R on the last dofs, relative to the largest one, with which K_Q is
 #: factored. The condition number of K_Q is that of K_ρ times its inverse square, 10⁴ at the bound,
@@ -112,7 +112,7 @@ class WoodburyFactor:
 
 
 def factor_by_woodbury(
-    symbolic: SymbolicFactor, K: Rows, R: Array, rho: float, work: WorkSpace
+    symbolic: SymbolicFactor, K: CSRMatrix, R: Array, rho: float, work: WorkSpace
 ) -> WoodburyFactor | None:
     """Factor K + ρ R Rᵀ of a subdomain.
 

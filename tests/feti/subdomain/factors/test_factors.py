@@ -26,7 +26,7 @@ from dolfinx_feti.feti.subdomain.factors.woodbury import factor_by_woodbury
 from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace, pack
 from dolfinx_feti.feti.subdomain.null_space import growth, is_numerically_singular, null_space
 from dolfinx_feti.feti.subsolver_options import DirectOptions
-from dolfinx_feti.runtime.petsc_library import rows_of
+from dolfinx_feti.runtime.petsc_library import csr_of
 from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.torn.connectivity import block_graph
 
@@ -66,7 +66,7 @@ def factored(lifetime):
                     M, rows, FactorOptions(DirectOptions("some_"), True, 8), R, rho, shift
                 )
             )
-        with rows_of(M) as of_M:
+        with csr_of(M) as of_M:
             fronts = create_fronts(
                 load_fronts(COMM), block_graph(of_M, bs), rows, rows, bs, rows[:0]
             )

@@ -14,7 +14,7 @@ from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.factors import nested_dissection as ordering
 from dolfinx_feti.feti.subdomain.factors.multifrontal import create_fronts, load_fronts
 from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace, pack
-from dolfinx_feti.runtime.petsc_library import Rows
+from dolfinx_feti.runtime.petsc_library import CSRMatrix
 from dolfinx_feti.torn.connectivity import block_graph
 
 EPS = np.finfo(np.float64).eps
@@ -41,7 +41,7 @@ def grid(shape, bs, seed=3):
 
 def arrays(K):
     """Return a sparse matrix row by row."""
-    return Rows(K.indptr.astype(np.int32), K.indices.astype(np.int32), K.data)
+    return CSRMatrix(K.indptr.astype(np.int32), K.indices.astype(np.int32), K.data)
 
 
 def analysed(K, Γ, bs, rows=None):
@@ -206,7 +206,7 @@ def test_entries_that_couple_subdomains_raise():
             indptr, indices, values = arrays(both)
             indices[-1] = column
             with raises(FactorError, "pattern of the matrix has changed"):
-                fronts.factor(Rows(indptr, indices, values), WorkSpace())
+                fronts.factor(CSRMatrix(indptr, indices, values), WorkSpace())
         with raises(FactorError, "pattern of the matrix has changed"):
             factored(fronts, K)
 
