@@ -58,7 +58,7 @@ def set_dirichlet_dofs(A: PETSc.Mat, is_dirichlet: Mask) -> None:
     """Replace the list of Dirichlet dofs of a torn matrix. Collective.
 
     The list is PETSc's object "dirichlet" of the matrix, as ``create_torn_matrix`` attaches it;
-    ``torn.matrix.dirichlet_dofs`` reads it.
+    ``torn.matrix.read_dirichlet_mask`` reads it.
 
     Args:
         A: The torn matrix.

@@ -45,7 +45,7 @@ from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
 from dolfinx_feti.feti.subsolver_options import SubsolverOptions
 from dolfinx_feti.runtime.collective import warn
 from dolfinx_feti.runtime.lifetime import Lifetime
-from dolfinx_feti.torn.matrix import State, state_of
+from dolfinx_feti.torn.matrix import MatrixVersion, version_of
 
 Reason = PETSc.KSP.ConvergedReason
 
@@ -80,7 +80,8 @@ class SolverCache:
         self._preconditioner_objects = Lifetime()
         self._matrix_objects = Lifetime()
         self._pattern: Pattern | None = None
-        self._state: State | None = None  # of the matrix that pattern and formulation belong to
+        #: Version of the matrix that pattern and formulation belong to.
+        self._version: MatrixVersion | None = None
         self.formulation: Formulation | None = None
         self._ritz_vectors: DeflationVectors | None = None
         self._is_invalid = False  # whether the next matrix needs a new preconditioner
@@ -110,15 +111,15 @@ class SolverCache:
         Raises:
             SetUpError: It cannot be set up; there is no formulation then.
         """
-        state = state_of(A)
-        last = self._state
-        has_same_pattern = last is not None and last.pattern == state.pattern
-        is_unchanged = has_same_pattern and self.formulation is not None and last == state
+        version = version_of(A)
+        last = self._version
+        has_same_pattern = last is not None and last.pattern == version.pattern
+        is_unchanged = has_same_pattern and self.formulation is not None and last == version
         comm = A.comm.tompi4py()
         if comm.allreduce(is_unchanged, op=MPI.LAND):
-            state.destroy()
+            version.destroy()
             return
-        self._state = state
+        self._version = version
         if last is not None:
             last.destroy()
         pattern = self._pattern if comm.allreduce(has_same_pattern, op=MPI.LAND) else None
@@ -314,9 +315,9 @@ class SolverCache:
     def destroy(self) -> None:
         """Free everything."""
         self._end_pattern()
-        if self._state is not None:
-            self._state.destroy()
-            self._state = None
+        if self._version is not None:
+            self._version.destroy()
+            self._version = None
 
     def _end_formulation(self) -> None:
         """Free what belongs to the matrix and to its preconditioner, whose age and rate end."""

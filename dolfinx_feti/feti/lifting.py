@@ -87,7 +87,7 @@ class RightHandSides:
             return copy(b)  # another reference
         if not np.isfinite(b.norm()):
             return copy(b)  # the outer loop ends with DIVERGED_NANORINF
-        x_D = np.where(torn.dirichlet_dofs, b.array_r, 0.0)
+        x_D = np.where(torn.is_dirichlet, b.array_r, 0.0)
         force = prescribed_force(torn, x_D)
         if self.needs_check:
             self._check(torn, b, force, prefix)
@@ -122,7 +122,7 @@ def prescribed_force(torn: Torn, x_D: Array) -> Array:
         x_D: Prescribed values, zero on free dofs, (N,).
     """
     force = torn.assemble(torn.multiply(torn.tear(x_D)))
-    return np.where(torn.dirichlet_dofs, 0.0, force)
+    return np.where(torn.is_dirichlet, 0.0, force)
 
 
 def multiple_lifted(torn: Torn, b: Array, force: Array) -> float:
@@ -139,7 +139,7 @@ def multiple_lifted(torn: Torn, b: Array, force: Array) -> float:
         b has NaN or Inf.
     """
     coupled = force != 0.0  # free dofs next to prescribed ones
-    others = ~coupled & ~torn.dirichlet_dofs
+    others = ~coupled & ~torn.is_dirichlet
     with np.errstate(invalid="ignore", over="ignore"):  # b may have NaN or Inf
         ff = force @ force
         fb = force @ b

@@ -116,7 +116,7 @@ def solve_assembled(
     torn = formulation.pattern.torn
     with Lifetime() as owned:
         r = owned.own(b.duplicate())
-        u_D = np.where(torn.dirichlet_copies, torn.tear(b.array_r), 0.0)
+        u_D = np.where(torn.is_dirichlet_copy, torn.tear(b.array_r), 0.0)
         x.array[:] = torn.assemble(formulation.delta * u_D)  # x_D
         torn.residual(b, x, r)  # r = b − A x_D
         scale = float(r.norm())
@@ -283,7 +283,7 @@ class _OuterLoop:
         torn = self._torn
         monitors = OuterMonitor(self._ksp)
         # Dofs without a copy are Dirichlet dofs: x takes their values from b, all others from u.
-        x.array[:] = np.where(torn.unused, self._b.array_r, 0.0)
+        x.array[:] = np.where(torn.is_unused, self._b.array_r, 0.0)
         # The first start has b as right-hand side, and the formulation itself moves K u_D to the
         # load; a fresh start has the residual, and no prescribed values.
         self._b.copy(r)

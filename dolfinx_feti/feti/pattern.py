@@ -94,7 +94,7 @@ def create_pattern(
         _require_primal(options, subsolvers)
     with event("FETIGluing"):
         gluing = pattern_objects.own(Gluing(torn, all_floating=options.all_floating))
-    fixed = np.zeros(torn.n, dtype=bool) if options.all_floating else torn.dirichlet_copies
+    fixed = np.zeros(torn.n, dtype=bool) if options.all_floating else torn.is_dirichlet_copy
     subdomains = create_subdomains(torn, gluing.interface_dofs, fixed)
 
     symmetric_part_analysis: Analysis | None = None
@@ -152,7 +152,7 @@ def _require_entries(torn: Torn) -> None:
     """Raise a SetUpError if the row of a dof without a prescribed value is empty. Collective."""
     copy_has_entries = np.repeat(np.diff(torn.graph.indptr) > 0, torn.K.getBlockSize())
     has_entries = torn.assemble(copy_has_entries.astype(np.float64)) > 0.0
-    empty = np.flatnonzero(~has_entries & ~torn.dirichlet_dofs) + torn.A.getOwnershipRange()[0]
+    empty = np.flatnonzero(~has_entries & ~torn.is_dirichlet) + torn.A.getOwnershipRange()[0]
     total = torn.A.getSize()[0]
     count = torn.comm.allreduce(len(empty))
     first = torn.comm.allreduce(int(empty.min(initial=total)), op=MPI.MIN)

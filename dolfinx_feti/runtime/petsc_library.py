@@ -177,7 +177,7 @@ def product(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:
     return y
 
 
-def pattern_state(K: PETSc.Mat) -> tuple[int, ...]:
+def pattern_version(K: PETSc.Mat) -> tuple[int, ...]:
     """Return numbers that change with the pattern of a sequential matrix.
 
     If two results are equal, the pattern is the same; its entries are not compared. The numbers are

@@ -29,7 +29,7 @@ from dolfinx_feti.runtime.collective import on_all, total_of
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.scalars.border import Border, BorderComplement, without_zeros
 from dolfinx_feti.scalars.springs import PointSprings
-from dolfinx_feti.torn.matrix import dirichlet_dofs
+from dolfinx_feti.torn.matrix import read_dirichlet_mask
 
 __all__ = ["BorderedSolver", "solve_ksp"]
 
@@ -157,7 +157,7 @@ def _create_system(ksp: PETSc.KSP, A: PETSc.Mat, b: Array, border: Border, d: Ar
         d: Second right-hand side of the scalars without these forces, (up to m,).
     """
     comm = A.comm.tompi4py()
-    free = ~dirichlet_dofs(A)
+    free = ~read_dirichlet_mask(A)
     b = np.where(free, b, 0.0)
     B = np.where(free[:, None], border.B, 0.0)
     return _System(

@@ -30,7 +30,7 @@ from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.runtime.arrays import Array, Integers, Mask, Numbers
 from dolfinx_feti.runtime.collective import DeferredErrors, logger, on_all
 from dolfinx_feti.runtime.lifetime import Lifetime
-from dolfinx_feti.runtime.petsc_library import pattern_state, product, csr_of
+from dolfinx_feti.runtime.petsc_library import pattern_version, product, csr_of
 from dolfinx_feti.runtime.star_forest import (
     Value,
     broadcast,
@@ -188,11 +188,11 @@ def set_condensed(A: PETSc.Mat, pressures: int) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class State:
-    """Handles and PETSc states of a torn matrix and its parts on this process, to detect a change.
+class MatrixVersion:
+    """Version of a torn matrix and its parts on this process: PETSc's handles and change counts.
 
-    Equal states mean an unchanged matrix. A change of entries without ``stateIncrease`` is not
-    detected.
+    Equal versions mean an unchanged matrix. A change of entries is detected only if PETSc counts it:
+    code that writes to the arrays calls ``stateIncrease``.
 
     Attributes:
         pattern: What the pattern depends on.
@@ -214,14 +214,14 @@ class State:
             owned.destroy()
 
 
-def state_of(A: PETSc.Mat) -> State:
-    """Return the state of a torn matrix on this process.
+def version_of(A: PETSc.Mat) -> MatrixVersion:
+    """Return the version of a torn matrix on this process.
 
-    That of a matrix of another type than MATIS has its handle and PETSc's state alone: it is enough
-    to create a ``Torn``, which refuses the matrix.
+    For a matrix of another type than MATIS it has only the handle and the change count: ``Torn``
+    refuses such a matrix.
     """
     if A.getType() != PETSc.Mat.Type.IS:
-        return State((A.handle,), (A.stateGet(),), (copy(A),))
+        return MatrixVersion((A.handle,), (A.stateGet(),), (copy(A),))
     K = A.getISLocalMat()
     maps = A.getLGMap()
     spaces = (A.getNearNullSpace(), A.getNullSpace())
@@ -234,7 +234,7 @@ def state_of(A: PETSc.Mat) -> State:
     pattern: list[object] = [lgmap.handle for lgmap in maps]
     for matrix in (A, K):
         pattern += [matrix.handle, matrix.getSizes(), matrix.getBlockSizes(), matrix.getType()]
-    pattern += pattern_state(K)
+    pattern += pattern_version(K)
     pattern.append(None if dirichlet is None else dirichlet.getIndices().tobytes())
 
     values: list[object] = [space.handle for space in spaces]
@@ -244,10 +244,10 @@ def state_of(A: PETSc.Mat) -> State:
         values += [part.handle, part.stateGet()]
 
     objects = (copy(A), K, *maps, *modes, *spaces, *vectors)
-    return State(tuple(pattern), tuple(values), objects)
+    return MatrixVersion(tuple(pattern), tuple(values), objects)
 
 
-def dirichlet_dofs(A: PETSc.Mat) -> Mask:
+def read_dirichlet_mask(A: PETSc.Mat) -> Mask:
     """Return the mask of the dofs of a torn matrix with a prescribed value, (N,). Collective."""
     mark = A.createVecRight()
     dofs = A.query(DIRICHLET)
@@ -273,9 +273,9 @@ class Torn:
         subdomains: Torn dofs of each subdomain of this process, ascending, (n_i,).
         first_subdomain: Number of the first subdomain of this process over all processes.
         N: Number of dofs of the assembled problem that this process owns.
-        dirichlet_dofs: Mask of the dofs with a prescribed value, (N,).
-        dirichlet_copies: Mask of the copies of these dofs, (n,).
-        unused: Mask of the dofs without a copy on any process, (N,).
+        is_dirichlet: Mask of the dofs with a prescribed value, (N,).
+        is_dirichlet_copy: Mask of the copies of these dofs, (n,).
+        is_unused: Mask of the dofs without a copy on any process, (N,).
         errors: Store for errors of local work in iterations, which are raised later on all
             processes.
     """
@@ -313,9 +313,9 @@ class Torn:
             self.first_subdomain = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
             torn_to_global = A.getLGMap()[0].getIndices()
             self._sf = owned.own(create_star_forest(torn_to_global, self.N, self.comm))
-            self.unused = self.multiplicity() == 0
-            self.dirichlet_dofs = dirichlet_dofs(A)
-            self.dirichlet_copies = self.tear(self.dirichlet_dofs.astype(np.int64)) > 0
+            self.is_unused = self.multiplicity() == 0
+            self.is_dirichlet = read_dirichlet_mask(A)
+            self.is_dirichlet_copy = self.tear(self.is_dirichlet.astype(np.int64)) > 0
             self._owned = owned.pop_all()
 
     def read_pattern(self) -> None:
@@ -354,7 +354,7 @@ class Torn:
     def residual(self, b: PETSc.Vec, x: PETSc.Vec, r: PETSc.Vec) -> None:
         """Compute r = b − A x, (N,), zero on Dirichlet dofs. Collective."""
         force = self.multiply(self.tear(x.array_r))
-        r.array[:] = np.where(self.dirichlet_dofs, 0.0, b.array_r - self.assemble(force))
+        r.array[:] = np.where(self.is_dirichlet, 0.0, b.array_r - self.assemble(force))
 
     def multiplicity(self) -> Numbers:
         """Return the number of copies of each owned dof, (N,). Collective."""

@@ -86,7 +86,7 @@ def _require_null_vectors(torn: Torn, Z: Array) -> None:
     d = torn.assemble(np.abs(torn.diagonal()))
     d = np.where(d > 0.0, d, 1.0)[:, None]
     AZ = np.column_stack([torn.assemble(torn.multiply(torn.tear(z))) for z in Z.T])
-    is_fixed = torn.dirichlet_dofs
+    is_fixed = torn.is_dirichlet
     squares = [
         (AZ[~is_fixed] ** 2 / d[~is_fixed]).sum(axis=0),
         (d[is_fixed] * Z[is_fixed] ** 2).sum(axis=0),

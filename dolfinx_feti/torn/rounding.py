@@ -62,5 +62,5 @@ def residual_rounding(torn: Torn, b: PETSc.Vec, x: PETSc.Vec) -> float:
     """
     squares = torn.assemble(product_rounding_squares(torn.K, torn.tear(x.array_r)))
     squares += (EPS * b.array_r) ** 2
-    local_sum = float(squares[~torn.dirichlet_dofs].sum())
+    local_sum = float(squares[~torn.is_dirichlet].sum())
     return float(np.sqrt(torn.comm.allreduce(local_sum)))

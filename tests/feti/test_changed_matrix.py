@@ -18,7 +18,7 @@ from mixed import solve_assembled
 from dolfinx_feti import set_near_kernel
 from dolfinx_feti.runtime.petsc_library import c_function
 from dolfinx_feti.torn.connectivity import has_repeated_dofs
-from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed, state_of
+from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed, version_of
 
 LAST = COMM.rank == COMM.size - 1
 
@@ -219,9 +219,9 @@ def test_next_solve_sees(name, options, problem, feti):
     ksp = feti(problem.A, ksp_rtol=RTOL, **options)
     b = random_values(problem)
     solved(ksp, problem, b)
-    before = state_of(problem.A)
+    before = version_of(problem.A)
     CHANGES[name](problem)
-    after = state_of(problem.A)  # is another one on some process, and in its proper part
+    after = version_of(problem.A)  # is another one on some process, and in its proper part
     pattern = COMM.allreduce(after.pattern != before.pattern)
     values = COMM.allreduce(after.values != before.values)
     agree((pattern > 0) == (name in PATTERN) and (pattern or values), (pattern, values))
@@ -285,29 +285,29 @@ def test_another_matrix(problem, torn_grid, feti):
     solved(ksp, problem, random_values(problem))
 
 
-# -- the state
+# -- the version
 
 
-def test_state_stays_where_nothing_changes(problem, feti):
+def test_version_stays_where_nothing_changes(problem, feti):
     """It can be hashed, and neither a solve nor a look at the matrix changes it."""
-    before = state_of(problem.A)
+    before = version_of(problem.A)
     reason, _ = solve(feti(problem.A, ksp_rtol=RTOL), problem, random_values(problem))
     agree(reason > 0)
     problem.A.getISLocalMat().getValuesCSR()
     problem.A.getNearNullSpace().getVecs()[0].norm()
-    after = state_of(problem.A)
+    after = version_of(problem.A)
     agree(after == before and hash(after) == hash(before), (before, after))
 
 
-def test_state_keeps_what_it_names(problem):
+def test_version_keeps_what_it_names(problem):
     """A local matrix that is freed cannot hand its address on; another matrix may hold the same."""
     seen = []
     for _ in range(20):
         scaled_copy(problem)
-        seen.append(state_of(problem.A))
-    agree(len({state.pattern for state in seen}) == len(set(seen)) == len(seen))
+        seen.append(version_of(problem.A))
+    agree(len({version.pattern for version in seen}) == len(set(seen)) == len(seen))
     sizes = problem.A.getSizes()[0]
     dofs = problem.A.getLGMap()[0].getIndices()
     other = create_torn_matrix(local(problem), np.asarray(dofs), sizes, comm=COMM)
-    agree(state_of(other) != seen[-1])
+    agree(version_of(other) != seen[-1])
     other.destroy()

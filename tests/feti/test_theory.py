@@ -297,7 +297,7 @@ def test_multipliers_and_displacements_are_those_of_the_dense_reference(
     torn = formulation.torn
     gluing = formulation.pattern.gluing
     b = problem.vector(random_values(problem))
-    u_D = np.where(torn.dirichlet_copies, torn.tear(b.array_r), 0.0)
+    u_D = np.where(torn.is_dirichlet_copy, torn.tear(b.array_r), 0.0)
     f = formulation.torn_load(b, u_D)
     c = gluing.gap(u_D)
     start, jump = formulation.system.start(f, c)

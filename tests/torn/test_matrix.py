@@ -52,8 +52,8 @@ def test_torn_matrix_acts_as_the_assembled_one(read, subdomains, cells, componen
     equal(whole(torn.tear(x_vec.array_r)), problem.T @ x)
     equal(whole(torn.assemble(t[mine])), problem.T.T @ t, 1e-14)
     equal(whole(torn.multiplicity()), problem.T.sum(axis=0).astype(int))
-    equal(whole(torn.dirichlet_copies), problem.dirichlet[problem.to_global])
-    equal(whole(torn.dirichlet_dofs), problem.dirichlet)
+    equal(whole(torn.is_dirichlet_copy), problem.dirichlet[problem.to_global])
+    equal(whole(torn.is_dirichlet), problem.dirichlet)
     for columns in ((), (0,), (1,), (3,)):
         t = rng.standard_normal((len(problem.to_global), *columns))
         equal(whole(torn.multiply(t[mine])), problem.K_torn @ t, 1e-13)
@@ -132,7 +132,7 @@ def test_dirichlet_dofs_may_be_named_by_any_process(torn_grid, lifetime):
     named = dofs if COMM.rank == COMM.size - 1 else dofs[:1]
     problem.A.compose("dirichlet", PETSc.IS().createGeneral(named.astype(PETSc.IntType), comm=COMM))
     torn = lifetime.own(Torn(problem.A))
-    equal(whole(torn.dirichlet_copies), problem.dirichlet[problem.to_global])
+    equal(whole(torn.is_dirichlet_copy), problem.dirichlet[problem.to_global])
 
 
 def test_near_kernel_is_orthonormal_and_spans_the_modes(read):

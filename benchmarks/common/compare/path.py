@@ -35,7 +35,7 @@ from dolfinx_feti.comparison import (
 )
 from dolfinx_feti.loading import Checkpoint, LoadStep, Steps
 from dolfinx_feti.runtime.collective import error_message, on_all
-from dolfinx_feti.torn.matrix import State, state_of
+from dolfinx_feti.torn.matrix import MatrixVersion, version_of
 
 #: Solvers of a path: FETI drives Newton's method, and tangents may be indefinite on the way.
 SOLVERS = ("feti", "mumps", "pardiso")
@@ -139,7 +139,7 @@ class _Direct(_Solves):
 
     last: float | None = None  # ‖x_FETI − x‖/‖x‖ of the last solve
     K: PETSc.Mat | None = None
-    state: State | None = None  # of the torn matrix behind it
+    version: MatrixVersion | None = None  # of the torn matrix behind it
     ksp: PETSc.KSP | None = None
 
     def solve(self, A: PETSc.Mat, b: PETSc.Vec, x_feti: PETSc.Vec) -> None:
@@ -153,10 +153,10 @@ class _Direct(_Solves):
         if self.K is None:
             self.K = K
         else:
-            if state_of(A) != self.state:  # PETSc factors a matrix anew that has been written to
+            if version_of(A) != self.version:  # PETSc factors a matrix anew that has been written to
                 K.copy(self.K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
             K.destroy()
-        self.state = state_of(A)
+        self.version = version_of(A)
         if self.ksp is not None:
             self.ksp.setOperators(self.K)  # perhaps the matrix is another one
         x = f.duplicate()

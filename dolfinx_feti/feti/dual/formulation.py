@@ -179,7 +179,7 @@ class DualFormulation:
         torn = self.torn
         f = self.delta * torn.tear(r.array_r)
         f -= torn.multiply(np.where(self.pattern.fixed, u_D, 0.0))  # f = δ T r − K u_D
-        f[torn.dirichlet_copies] = 0.0
+        f[torn.is_dirichlet_copy] = 0.0
         return f
 
     def _condense_if_eliminated(self, f: Array) -> Array:
@@ -296,10 +296,10 @@ def _averaged_motion(torn: Torn, setup: Setup, coarse: DualCoarseProblem, s: Arr
         T Tᵀ δ E s with the interior that belongs to it, (n,).
     """
     w = torn.tear(torn.assemble(setup.delta * coarse.prolong(s)))  # T Tᵀ δ E s
-    w = np.where(torn.dirichlet_copies, 0.0, w)
+    w = np.where(torn.is_dirichlet_copy, 0.0, w)
     if setup.operator.is_eliminated:
         w = setup.operator.extend(w, np.zeros(torn.n))
-    return np.where(torn.dirichlet_copies, 0.0, w)
+    return np.where(torn.is_dirichlet_copy, 0.0, w)
 
 
 def _min_negative_eigenvalues(pattern: Pattern, setup: Setup) -> int | None:

@@ -228,7 +228,7 @@ class DualSystem:
 
         Collective, because summing copies communicates; the parts are not summed.
         """
-        force = self._torn.assemble(np.where(self._torn.dirichlet_copies, 0.0, t))
+        force = self._torn.assemble(np.where(self._torn.is_dirichlet_copy, 0.0, t))
         return float(force @ force)
 
     def destroy(self) -> None:

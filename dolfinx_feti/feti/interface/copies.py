@@ -69,7 +69,7 @@ class Copies:
         self.dofs = concatenate(interfaces, np.int32)
         self.rows = consecutive_slices([len(dofs) for dofs in interfaces])
         self.size = len(self.dofs)
-        self.delta = np.where(torn.dirichlet_copies, 0.0, delta)[self.dofs]
+        self.delta = np.where(torn.is_dirichlet_copy, 0.0, delta)[self.dofs]
         self.pair_rows, self.pair_copies = _find_pairs(torn, self.dofs)
         self._forest = create_star_forest(self.pair_copies, self.size, self.comm)
 
@@ -141,7 +141,7 @@ def _find_pairs(torn: Torn, dofs: Indices) -> tuple[Indices, Numbers]:
     # Row of each torn dof, numbered over all processes; −1 if it has none, or a prescribed value.
     row_number = np.full(torn.n, -1, dtype=np.int64)
     row_number[dofs] = torn.comm.scan(size) - size + np.arange(size)
-    row_number[torn.dirichlet_copies] = -1
+    row_number[torn.is_dirichlet_copy] = -1
     has_row = row_number[dofs] >= 0
 
     # The lists of the owned dofs, one after the other.

@@ -66,11 +66,11 @@ class Gluing:
             torn: The torn matrix.
             all_floating: Whether the copies of Dirichlet dofs have rows in B.
         """
-        has_dirichlet_row = torn.dirichlet_copies & all_floating
+        has_dirichlet_row = torn.is_dirichlet_copy & all_floating
         self._dirichlet_dofs = np.flatnonzero(has_dirichlet_row)
         self._pairs = _find_pairs(torn)
         self.B = self._assemble(torn, self._pairs.signs)
-        has_copies = (torn.tear(torn.multiplicity()) > 1) & ~torn.dirichlet_copies
+        has_copies = (torn.tear(torn.multiplicity()) > 1) & ~torn.is_dirichlet_copy
         self.interface_dofs = np.flatnonzero(has_copies | has_dirichlet_row).astype(np.int32)
 
     def scaled_jumps(self, torn: Torn, delta: Array) -> PETSc.Mat:
@@ -122,7 +122,7 @@ class Gluing:
 def _find_pairs(torn: Torn) -> CopyPairs:
     """Find the pairs of copies of the free dofs that this process owns. Collective."""
     column_of_copy = torn.gather(torn.first_torn_dof + np.arange(torn.n, dtype=np.int64))
-    is_free = torn.gather((~torn.dirichlet_copies).astype(np.int64)) > 0
+    is_free = torn.gather((~torn.is_dirichlet_copy).astype(np.int64)) > 0
     multiplicity = torn.multiplicity()
 
     def sort_pairs() -> CopyPairs:

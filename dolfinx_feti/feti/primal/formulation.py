@@ -199,7 +199,7 @@ class PrimalFormulation:
         """
         torn = self.pattern.torn
         f = self.delta * torn.tear(r.array_r) - torn.multiply(u_D)  # f = δ T r − K u_D
-        f[torn.dirichlet_copies] = 0.0
+        f[torn.is_dirichlet_copy] = 0.0
         return f
 
     def _condense(self, f: Array) -> Array:

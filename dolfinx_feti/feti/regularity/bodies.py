@@ -55,7 +55,7 @@ class Bodies:
 def find_bodies(torn: Torn) -> Bodies:
     """Return the connected components of the assembled problem. Collective."""
     bs = torn.K.getBlockSize()
-    is_free = np.any(~torn.dirichlet_copies.reshape(-1, bs), axis=1)  # nodes
+    is_free = np.any(~torn.is_dirichlet_copy.reshape(-1, bs), axis=1)  # nodes
 
     def find_pieces() -> tuple[int, Numbers]:
         """Return the number of pieces of this process, and the piece of each free node."""
@@ -73,7 +73,7 @@ def find_bodies(torn: Torn) -> Bodies:
         """Return the bodies, from the body of each node."""
         body_of_node = np.full(len(is_free), count, dtype=np.int64)
         body_of_node[is_free] = body_of_piece[piece_of_node[is_free]]
-        label = np.where(torn.dirichlet_copies, count, np.repeat(body_of_node, bs))
+        label = np.where(torn.is_dirichlet_copy, count, np.repeat(body_of_node, bs))
         return Bodies(count, label, _find_supports(torn, is_free, body_of_node))
 
     return on_all(create, torn.comm)
@@ -91,7 +91,7 @@ def _find_supports(torn: Torn, is_free: Mask, body_of_node: Numbers) -> Supports
         body_of_node: Body of each free node, (n / bs,).
     """
     bs = torn.K.getBlockSize()
-    on_free_nodes = np.flatnonzero(torn.dirichlet_copies & np.repeat(is_free, bs))
+    on_free_nodes = np.flatnonzero(torn.is_dirichlet_copy & np.repeat(is_free, bs))
 
     constrained_nodes = np.flatnonzero(~is_free)
     body_of_free_node = body_of_node[is_free]

@@ -61,7 +61,7 @@ class ScaledAssembledMatrix:
         forces = np.empty_like(W)
         for j in range(W.shape[1]):
             forces[:, j] = torn.tear(torn.assemble(torn.multiply(W[:, j])))  # A w
-        forces[torn.dirichlet_copies] = 0.0
+        forces[torn.is_dirichlet_copy] = 0.0
         return forces * self.force_weight
 
     def force_rounding(self, W: Array) -> Array:
@@ -75,7 +75,7 @@ class ScaledAssembledMatrix:
         for j in range(W.shape[1]):
             error_squares = torn.assemble(product_rounding_squares(torn.K, W[:, j]))
             scaled_squares = torn.tear(error_squares) * weight_squares
-            squares[0, j] = scaled_squares[~torn.dirichlet_copies].sum()
+            squares[0, j] = scaled_squares[~torn.is_dirichlet_copy].sum()
         squares[1] = EPS**2 * (self.scale_motions(W) ** 2).sum(axis=0)
         of_product, of_motion = np.sqrt(total_of(squares, torn.comm))
         return np.asarray(of_product + of_motion)

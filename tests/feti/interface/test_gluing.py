@@ -83,7 +83,7 @@ def test_rows_interface_and_gap(grid, kind, glue):
     x = np.random.default_rng(SEED + 1).standard_normal(len(problem.dirichlet))
     u = problem.T @ x
     u_D = np.where(
-        torn.dirichlet_copies, u[torn.first_torn_dof : torn.first_torn_dof + torn.n], 0.0
+        torn.is_dirichlet_copy, u[torn.first_torn_dof : torn.first_torn_dof + torn.n], 0.0
     )
     equal(B @ u, whole(gluing.gap(u_D)), 1e-15)
 

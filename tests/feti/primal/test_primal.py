@@ -45,7 +45,7 @@ def solution(problem, primal, values):
     """Assert that the solution is that of a direct solver, with values prescribed; say how."""
     b = problem.vector(values)
     torn = primal.pattern.torn
-    u_D = np.where(torn.dirichlet_copies, torn.tear(b.array_r), 0.0)
+    u_D = np.where(torn.is_dirichlet_copy, torn.tear(b.array_r), 0.0)
     how = {"target": 1e-10 * b.norm(), "max_it": 200, "monitor": lambda *_: None}
     u, outcome = primal.solve(b, u_D, **how)
     b.destroy()
