@@ -32,7 +32,7 @@ from dolfinx_feti.feti import FETI
 from dolfinx_feti.mechanics import kinematics, loads, materials, supports
 from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
-from dolfinx_feti.torn.matrix import create_torn_matrix, set_condensed, set_near_kernel
+from dolfinx_feti.torn.matrix import create_torn_matrix, set_condensed_pressures, set_near_kernel
 
 __version__ = "0.1.0"
 __all__ = [
@@ -45,7 +45,7 @@ __all__ = [
     "kinematics",
     "loads",
     "materials",
-    "set_condensed",
+    "set_condensed_pressures",
     "set_near_kernel",
     "supports",
 ]

@@ -146,10 +146,10 @@ def _pressure_figures(torn: Torn) -> tuple[float | None, float | None]:
     Both are None without condensed pressures.
     """
     without_pressure = torn.A.query("stiffness")  # the diagonal of K before the condensation
-    if torn.pressures is None or without_pressure is None:
+    if torn.n_condensed_pressures is None or without_pressure is None:
         return None, None
     is_free = torn.assemble((~torn.is_dirichlet_copy).astype(np.float64)) > 0.5
-    pressures, dofs = torn.comm.allreduce(np.array([torn.pressures, is_free.sum()]))
+    pressures, dofs = torn.comm.allreduce(np.array([torn.n_condensed_pressures, is_free.sum()]))
     raised = torn.comm.allreduce(float(np.abs(torn.diagonal()).sum()))
     original = torn.comm.allreduce(float(np.abs(without_pressure.array_r).sum()))
     return _ratio(pressures, dofs), _ratio(raised, original)

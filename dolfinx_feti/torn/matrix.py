@@ -51,7 +51,7 @@ STIFFNESS = "stiffness"
 COORDINATES = "coordinates"
 
 #: Name of the number of pressures that were condensed into the local matrix.
-PRESSURES = "pressures"
+CONDENSED_PRESSURES = "condensed pressures"
 
 #: Error for an assembled matrix of the type {0}.
 NOT_TORN = (
@@ -177,14 +177,14 @@ def set_near_kernel(
         A.compose(COORDINATES, PETSc.Vec().createWithArray(points, comm=A.comm))
 
 
-def set_condensed(A: PETSc.Mat, pressures: int) -> None:
+def set_condensed_pressures(A: PETSc.Mat, count: int) -> None:
     """Attach the number of pressures that were condensed into K.
 
     Args:
         A: Torn matrix.
-        pressures: Number on this process.
+        count: Number on this process.
     """
-    A.setAttr(PRESSURES, pressures)
+    A.setAttr(CONDENSED_PRESSURES, count)
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +238,7 @@ def version_of(A: PETSc.Mat) -> MatrixVersion:
     pattern.append(None if dirichlet is None else dirichlet.getIndices().tobytes())
 
     values: list[object] = [space.handle for space in spaces]
-    values.append(A.getAttr(PRESSURES))
+    values.append(A.getAttr(CONDENSED_PRESSURES))
     values += [stiffness is None, coordinates is None]
     for part in (A, K, *vectors, *modes):
         values += [part.handle, part.stateGet()]
@@ -417,9 +417,9 @@ class Torn:
         return np.abs(self.diagonal() if weight is None else weight.array_r)
 
     @property
-    def pressures(self) -> int | None:
-        """Number of pressures that have been condensed into the local matrix; None if unknown."""
-        return self.A.getAttr(PRESSURES)  # type: ignore[no-any-return]
+    def n_condensed_pressures(self) -> int | None:
+        """Number of pressures that have been condensed into K; None if no number is attached."""
+        return self.A.getAttr(CONDENSED_PRESSURES)  # type: ignore[no-any-return]
 
     def is_symmetric(self) -> bool:
         """Return True if the matrices of all subdomains are symmetric. Collective."""

@@ -18,7 +18,7 @@ from mixed import solve_assembled
 from dolfinx_feti import set_near_kernel
 from dolfinx_feti.runtime.petsc_library import c_function
 from dolfinx_feti.torn.connectivity import has_repeated_dofs
-from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed, version_of
+from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed_pressures, version_of
 
 LAST = COMM.rank == COMM.size - 1
 
@@ -162,7 +162,7 @@ VALUES = {
     "near kernel": near_kernel,
     "near kernel in place": near_kernel_in_place,
     "coordinates": lambda p: p.A.query("coordinates").shift(1.0),
-    "pressures": lambda p: set_condensed(p.A, 3),
+    "pressures": lambda p: set_condensed_pressures(p.A, 3),
 }
 
 CHANGES = {**PATTERN, **VALUES}

@@ -18,7 +18,7 @@ from dolfinx_feti import FETI
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.report import table
 from dolfinx_feti.feti.subdomain.schur_operator import create_schur_operator
-from dolfinx_feti.torn.matrix import set_condensed
+from dolfinx_feti.torn.matrix import set_condensed_pressures
 
 Reason = PETSc.KSP.ConvergedReason
 
@@ -190,7 +190,7 @@ def test_other_form_where_matrix_turns_indefinite(how, torn_grid, feti, monkeypa
     """
     problem = torn_grid(**GRID, change=push)
     if how == "condensed":
-        set_condensed(problem.A, 3)
+        set_condensed_pressures(problem.A, 3)
     ksp = feti(problem.A, FETI(newton=True), ksp_rtol=1e-11)
     check(problem, ksp)
     agree(ksp.getPythonContext().report().formulation == "primal")

@@ -16,7 +16,7 @@ from collective import COMM, agree, dense, equal, raises, whole
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.runtime.petsc_library import CSRMatrix
 from dolfinx_feti.torn.connectivity import block_graph, diagonal_places
-from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed
+from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed_pressures
 from dolfinx_feti.torn.rounding import EPS, product_rounding_squares
 from dolfinx_feti.torn.symmetry import is_symmetric
 
@@ -264,9 +264,9 @@ def test_other_matrix_types_are_refused(lifetime):
 def test_condensed_pressures_are_noted(read):
     """They are read from the matrix, whatever object refers to it."""
     problem, torn, _ = read((2, 2), (2, 2))
-    agree(torn.pressures is None)
-    set_condensed(problem.A, 7 * COMM.rank)
-    agree(torn.pressures == 7 * COMM.rank)
+    agree(torn.n_condensed_pressures is None)
+    set_condensed_pressures(problem.A, 7 * COMM.rank)
+    agree(torn.n_condensed_pressures == 7 * COMM.rank)
 
 
 # -- entries of a sequential matrix that are read in place

@@ -151,6 +151,6 @@ def is_worth_eliminating(torn: Torn, subdomains: Sequence[Subdomain]) -> bool:
     largest = torn.comm.allreduce(on_interface.max(initial=0.0), op=MPI.MAX)
     # If a pressure is condensed, the count is set on all processes: 0 on one without cells, not
     # None. So all processes agree without communication.
-    has_condensed_pressure = torn.pressures is not None
+    has_condensed_pressure = torn.n_condensed_pressures is not None
     is_worth_it = dense <= MAX_DENSITY * sparse or has_condensed_pressure
     return bool(is_worth_it and largest <= MAX_INTERFACE)

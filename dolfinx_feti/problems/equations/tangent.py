@@ -26,7 +26,7 @@ from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.connectivity import diagonal_places
-from dolfinx_feti.torn.matrix import set_condensed
+from dolfinx_feti.torn.matrix import set_condensed_pressures
 from dolfinx_feti.torn.rounding import product_rounding_squares
 
 
@@ -71,7 +71,7 @@ class TornTangent:
         self._detached_null_space: PETSc.NullSpace | None = None
         self.A = create_torn_matrix_on(space, self._K.mat, [], self.diagonal, forms.symmetric)
         if condensation is not None:
-            set_condensed(self.A, condensation.constraints)
+            set_condensed_pressures(self.A, condensation.constraints)
         self._near_kernel: PETSc.NullSpace | None = None  # that this object has attached to A
         self.id = TangentId()
         self.shift = 0.0

@@ -272,5 +272,5 @@ def test_elimination_is_exact(kind, change, way, torn_grid, parts):
 def test_choice(n, on_interface, condensed, worth):
     """Dense blocks for thin walls, small subdomains, and condensed pressures; not if too large."""
     subdomain = SimpleNamespace(free_dofs=np.arange(n), interface=np.arange(on_interface))
-    torn = SimpleNamespace(comm=COMM, pressures=object() if condensed else None)
+    torn = SimpleNamespace(comm=COMM, n_condensed_pressures=object() if condensed else None)
     agree(is_worth_eliminating(torn, [subdomain] * 2) == worth)
