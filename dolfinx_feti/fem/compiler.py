@@ -26,7 +26,7 @@ from dolfinx_feti.fem.cell_kernels.generator import KernelGenerator
 from dolfinx_feti.fem.quadrature import quadrature_rule, same_points
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.runtime.native import announced
+from dolfinx_feti.runtime.native import logged_if_slow
 
 T = TypeVar("T")
 
@@ -116,7 +116,7 @@ class Compiler:
 
         def compile_and_announce() -> T:
             is_first = self.comm.rank == 0
-            with announced(what, self._ffcx_cache) if is_first else contextlib.nullcontext():
+            with logged_if_slow(what, self._ffcx_cache) if is_first else contextlib.nullcontext():
                 return work()
 
         return on_all(compile_and_announce, self.comm)

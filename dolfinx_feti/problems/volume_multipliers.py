@@ -24,7 +24,7 @@ from dolfinx_feti.problems.multipliers import MultiplierUpdates
 from dolfinx_feti.runtime.anderson import Anderson
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.runtime.norms import largest
+from dolfinx_feti.runtime.norms import max_norm
 
 #: Default bound of abs(mean J − 1) in a cell: the default relative tolerance of Newton's method.
 VOLUME_TOLERANCE = 1e-8
@@ -165,7 +165,7 @@ class VolumeMultipliers(MultiplierUpdates):
         scales = np.split(self._scale, self._ends)
         changes = np.split(first_change, self._ends)
         for scale, change in zip(scales, changes, strict=True):
-            scale[:] = largest(self._system.comm, change) or 1.0
+            scale[:] = max_norm(self._system.comm, change) or 1.0
 
     def failure(self) -> str:
         """Return the message of volumes that are not kept, with the remedy."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import pickle
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 from mpi4py import MPI
 
@@ -131,19 +131,24 @@ def _picklable(error: BaseException) -> BaseException:
     return error if isinstance(copy, BaseException) else RuntimeError(error_message(error))
 
 
-def total(value: float, comm: MPI.Comm) -> float:
-    """Return the sum of the numbers of all processes. Collective."""
-    return float(total_of(np.array([value], dtype=np.float64), comm)[0])
+@overload
+def total_of(values: float, comm: MPI.Comm) -> float: ...
 
 
-def total_of(values: Array, comm: MPI.Comm) -> Array:
-    """Return the sum of the arrays of all processes, entry by entry. Collective.
+@overload
+def total_of(values: Array, comm: MPI.Comm) -> Array: ...
 
-    The arrays have the same shape.
+
+def total_of(values: float | Array, comm: MPI.Comm) -> float | Array:
+    """Return the sum of a number, or of an array entry by entry, over all processes. Collective.
+
+    Args:
+        values: A number, or an array of the same shape on all processes.
+        comm: The processes.
     """
-    sum_ = np.array(values, dtype=np.float64, order="C")
-    comm.Allreduce(MPI.IN_PLACE, sum_)
-    return sum_
+    sums = np.array(values, dtype=np.float64, order="C")
+    comm.Allreduce(MPI.IN_PLACE, sums)
+    return sums if sums.ndim else float(sums)
 
 
 def allgather_rows(values: npt.ArrayLike, comm: MPI.Comm) -> npt.NDArray[Any]:

@@ -50,7 +50,7 @@ MACHINES = ("x86_64", "aarch64")
 
 #: Time after which a compilation is logged [s]: most files take less than one second, and a longer
 #: wait needs an explanation.
-ANNOUNCE_AFTER = 2.0
+LOG_AFTER = 2.0
 
 logger = logging.getLogger("dolfinx_feti.compilation")
 
@@ -136,15 +136,15 @@ def load_with_header(source: Path, comm: MPI.Comm, *, flags: Sequence[str] = ("-
 
 
 @contextlib.contextmanager
-def announced(what: str, where: object) -> Iterator[None]:
-    """Context of a compilation that logs it if it takes longer than :data:`ANNOUNCE_AFTER`.
+def logged_if_slow(what: str, where: object) -> Iterator[None]:
+    """Context of a compilation that logs it if it takes longer than :data:`LOG_AFTER`.
 
     Args:
         what: Name of the file that is compiled.
         where: Folder that caches the result.
     """
     message = f"compiling {what}, which is kept for later runs in {where}"
-    timer = threading.Timer(ANNOUNCE_AFTER, logger.warning, [message])
+    timer = threading.Timer(LOG_AFTER, logger.warning, [message])
     timer.daemon = True
     timer.start()
     try:
@@ -227,13 +227,13 @@ def _load_module(unit: _Unit, path: str = "") -> ModuleType:
     """
     if unit in _loaded:
         return _loaded[unit]
-    text = _text(unit.source, unit.generated)
+    text = _read_code(unit.source, unit.generated)
     suffix = str(sysconfig.get_config_var("EXT_SUFFIX"))
     key = _hash([text, unit.declarations, *unit.flags, version("cffi"), suffix])[:16]
     name = f"{unit.source.stem}_{key}"
     if not Path(path).is_file():
         try:
-            path = str(_compiled(name + suffix, text, unit))
+            path = str(_compile(name + suffix, text, unit))
         except (cffi.VerificationError, ImportError, OSError) as error:
             raise RuntimeError(
                 f"{unit.source.name} cannot be compiled ({error_message(error)}): check the C "
@@ -264,7 +264,7 @@ def _import_file(name: str, path: str) -> ModuleType:
     return module
 
 
-def _text(source: Path, generated: str) -> str:
+def _read_code(source: Path, generated: str) -> str:
     """Return the text of a C file, with the generated code and the files that it includes."""
     text = source.read_text(encoding="utf-8").replace("/* generated */", generated)
     for header in re.findall(r'^#include "(.*)"$', text, flags=re.MULTILINE):
@@ -273,7 +273,7 @@ def _text(source: Path, generated: str) -> str:
     return text
 
 
-def _compiled(file: str, text: str, unit: _Unit) -> Path:
+def _compile(file: str, text: str, unit: _Unit) -> Path:
     """Compile a file, unless it is in the cache, and return its path.
 
     Several processes may compile the same file at once. Each compiles in a temporary folder, and
@@ -300,7 +300,7 @@ def _compiled(file: str, text: str, unit: _Unit) -> Path:
     builder.cdef(unit.declarations)
     builder.set_source(name, text, extra_compile_args=list(unit.flags))
     what = name.rpartition("_")[0] + ".c"
-    with work, contextlib.redirect_stdout(io.StringIO()), announced(what, folder):
+    with work, contextlib.redirect_stdout(io.StringIO()), logged_if_slow(what, folder):
         return Path(builder.compile(tmpdir=work.name)).replace(folder / file)
 
 

@@ -23,6 +23,6 @@ def norm(comm: MPI.Comm, r: Array) -> float:
     return float(np.sqrt(dot(comm, r, r)))
 
 
-def largest(comm: MPI.Comm, values: Array) -> float:
-    """Return the largest absolute value on all processes; zero without entries. Collective."""
-    return float(comm.allreduce(float(np.abs(values).max(initial=0.0)), op=MPI.MAX))
+def max_norm(comm: MPI.Comm, r: Array) -> float:
+    """Return the largest absolute value of a vector, (owned,); zero without entries. Collective."""
+    return float(comm.allreduce(float(np.abs(r).max(initial=0.0)), op=MPI.MAX))

@@ -92,8 +92,8 @@ def reads_in_place() -> bool:
 def csr_of(K: PETSc.Mat) -> Iterator[CSRMatrix]:
     """Context with a sequential AIJ matrix by compressed rows.
 
-    The arrays are read-only views into the matrix, valid inside of the context, or copies if PETSc has
-    no views or no 32-bit indices (:func:`reads_in_place`).
+    The arrays are read-only views into the matrix, valid inside of the context. They are copies if
+    PETSc offers no views or has 64-bit indices (:func:`reads_in_place`).
 
     Raises:
         RuntimeError: The matrix is not SeqAIJ.
@@ -141,7 +141,9 @@ def _row_views(K: PETSc.Mat, access: _RowAccess) -> Iterator[CSRMatrix]:
 
 def _not_seqaij(K: PETSc.Mat) -> RuntimeError:
     """Return the error of a matrix whose arrays PETSc does not give access to."""
-    return RuntimeError(f"rows can be read only from a SeqAIJ matrix, and this one is {K.getType()}")
+    return RuntimeError(
+        f"rows can be read only from a SeqAIJ matrix, and this one is {K.getType()}"
+    )
 
 
 def product(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:

@@ -30,7 +30,7 @@ from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.runtime.arrays import Array, Integers, Mask, Numbers
 from dolfinx_feti.runtime.collective import DeferredErrors, logger, on_all
 from dolfinx_feti.runtime.lifetime import Lifetime
-from dolfinx_feti.runtime.petsc_library import pattern_version, product, csr_of
+from dolfinx_feti.runtime.petsc_library import csr_of, pattern_version, product
 from dolfinx_feti.runtime.star_forest import (
     Value,
     broadcast,
@@ -191,8 +191,8 @@ def set_condensed_pressures(A: PETSc.Mat, count: int) -> None:
 class MatrixVersion:
     """Version of a torn matrix and its parts on this process: PETSc's handles and change counts.
 
-    Equal versions mean an unchanged matrix. A change of entries is detected only if PETSc counts it:
-    code that writes to the arrays calls ``stateIncrease``.
+    Equal versions mean an unchanged matrix. Changes of entries are detected only if PETSc counts
+    them: code that writes to the arrays of the matrix has to call ``stateIncrease``.
 
     Attributes:
         pattern: What the pattern depends on.

@@ -22,7 +22,7 @@ import scipy.sparse
 
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
-from dolfinx_feti.runtime.petsc_library import product, csr_of
+from dolfinx_feti.runtime.petsc_library import csr_of, product
 
 #: Largest |a_ij − a_ji| of a symmetric matrix, relative to s_i s_j. Rounding errors of assembly and
 #: condensation reach 7e-12 (P2) and 3e-13 (P2–P0) for κ/μ = 10⁶.

@@ -23,7 +23,6 @@ from dolfinx_feti.runtime.collective import (
     on_first,
     on_root,
     reason,
-    total,
     total_of,
     warn,
 )
@@ -36,7 +35,7 @@ def test_sums_leave_the_process_its_own():
     found = total_of(own, COMM)
     agree(np.array_equal(own, before) and found.shape == (3, 2))
     agree(np.allclose(found, np.arange(6.0).reshape(2, 3).T * ranks))
-    agree(total(COMM.rank + 1.0, COMM) == ranks)
+    agree(total_of(COMM.rank + 1.0, COMM) == ranks)
 
 
 def test_all_have_the_result_of_the_first_or_their_own():

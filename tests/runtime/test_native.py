@@ -51,7 +51,7 @@ def test_compiled_once_and_kept(write, monkeypatch):
     agree(len(files) == 1 and files[0].name.startswith("twice_"))
     with monkeypatch.context() as patch:  # nothing is waited for, or read
         patch.setattr(native, "on_all", lambda *_: agree(False))
-        patch.setattr(native, "_text", lambda *_: agree(False))
+        patch.setattr(native, "_read_code", lambda *_: agree(False))
         native.load(source, "void twice(int, double *);", COMM)
     monkeypatch.setattr(native, "_loaded", {})
     monkeypatch.setattr(native.cffi.FFI, "compile", lambda *_, **__: agree(False))
@@ -175,7 +175,7 @@ def test_long_compilations_are_told(write, monkeypatch, caplog):
 
     monkeypatch.setattr(native.cffi.FFI, "compile", slowly)
     for patience, lines in ((60.0, 0), (0.1, 1)):
-        monkeypatch.setattr(native, "ANNOUNCE_AFTER", patience)
+        monkeypatch.setattr(native, "LOG_AFTER", patience)
         monkeypatch.setattr(native.logger, "disabled", False)
         caplog.clear()
         flags = (f"-DPATIENCE={patience}",)

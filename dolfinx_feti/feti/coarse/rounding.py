@@ -18,7 +18,7 @@ from dolfinx_feti.feti.subdomain.failures import on_subdomains
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.collective import total
+from dolfinx_feti.runtime.collective import total_of
 from dolfinx_feti.torn.rounding import EPS
 
 #: Multiple of the bound below which an energy counts as negative. The norms in the bound come from
@@ -39,7 +39,7 @@ def proves_indefinite(copies: Copies, S: SchurOperator, v: Array, energy: float)
     """
     norms = on_subdomains(lambda: _estimated_norms(S), copies.comm)
     squares = [float(v[rows] @ v[rows]) for rows in copies.rows]  # ‖(T v)_i‖²
-    bound = EPS * total(float(np.dot(norms, squares)), copies.comm)
+    bound = EPS * total_of(float(np.dot(norms, squares)), copies.comm)
     return energy < -NEGATIVE_ENERGY_MARGIN * bound
 
 

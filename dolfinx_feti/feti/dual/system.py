@@ -38,7 +38,7 @@ from dolfinx_feti.feti.interface.gluing import Gluing
 from dolfinx_feti.feti.preconditioners.base import Preconditioner
 from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.collective import total
+from dolfinx_feti.runtime.collective import total_of
 from dolfinx_feti.runtime.linear_map import LinearMap
 
 
@@ -221,7 +221,7 @@ class DualSystem:
 
     def _norm_of_force(self, t: Array) -> float:
         """Return ‖Tᵀ t‖ on the free dofs for an unbalanced force t, (n,). Collective."""
-        return float(np.sqrt(total(self._local_square(t), self.comm)))
+        return float(np.sqrt(total_of(self._local_square(t), self.comm)))
 
     def _local_square(self, t: Array) -> float:
         """Return the part of ‖Tᵀ t‖² of the free dofs that this process owns, for t, (n,).

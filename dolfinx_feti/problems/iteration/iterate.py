@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx_feti.problems.equations.system import Residual, System
 from dolfinx_feti.problems.equations.tangent import TangentId
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.norms import largest, norm
+from dolfinx_feti.runtime.norms import max_norm, norm
 
 #: Share of the largest displacement up to which u − g of a Dirichlet dof is rounding. An update
 #: u ← u + α Δu leaves some 2e-16 of it; a linear solve with a tolerance of 1e-8 leaves up to 1e-8,
@@ -67,8 +67,8 @@ def _violates_constraints(system: System, residual: Residual) -> bool:
 
     The answer is the same on all processes. Collective.
     """
-    gap = largest(system.comm, residual.gap)
-    size = largest(system.comm, system.state.owned_u)
+    gap = max_norm(system.comm, residual.gap)
+    size = max_norm(system.comm, system.state.owned_u)
     if gap > PRESCRIBED_RTOL * size:
         return True
     # the largest size h/c on this process serves for all its dofs; the scale of an equation, a sum

@@ -30,7 +30,7 @@ from dolfinx_feti.problems.iteration.iterate import Direction, Iterate
 from dolfinx_feti.problems.iteration.line import Trial
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import warn
-from dolfinx_feti.runtime.norms import dot, largest, norm
+from dolfinx_feti.runtime.norms import dot, max_norm, norm
 
 Reason = PETSc.SNES.ConvergedReason
 
@@ -292,8 +292,8 @@ def _kink(system: System) -> str:
 
 def _step_size(system: System, d: Array) -> float | None:
     """Return h of the difference quotient along d, (owned,); None if d is 0 or no number."""
-    largest_u = largest(system.comm, system.state.values().u)
-    largest_d = largest(system.comm, d)
+    largest_u = max_norm(system.comm, system.state.values().u)
+    largest_d = max_norm(system.comm, d)
     size = max(largest_u, largest_d)  # u may be zero
     if not 0.0 < largest_d * size < np.inf:
         return None

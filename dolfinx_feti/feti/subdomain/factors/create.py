@@ -58,7 +58,7 @@ from dolfinx_feti.feti.subdomain.failures import on_subdomains
 from dolfinx_feti.feti.subsolver_options import DirectOptions
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.collective import warn
-from dolfinx_feti.runtime.petsc_library import reads_in_place, csr_of
+from dolfinx_feti.runtime.petsc_library import csr_of, reads_in_place
 from dolfinx_feti.torn.matrix import Torn
 
 
