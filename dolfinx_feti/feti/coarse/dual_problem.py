@@ -133,7 +133,7 @@ class DualCoarseProblem:
                 CoarseSolver(
                     self.N,
                     options=options,
-                    symmetric=True,
+                    is_symmetric=True,
                     errors=torn.errors,
                     block_widths=np.array(widths, dtype=np.int64),
                 )

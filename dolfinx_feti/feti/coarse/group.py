@@ -49,7 +49,7 @@ class GroupFactor:
         N: PETSc.Mat,
         *,
         options: DirectOptions,
-        symmetric: bool,
+        is_symmetric: bool,
         zero_pivot: float | None = None,
     ) -> None:
         """Copy N to each group and factor it. Collective.
@@ -57,7 +57,7 @@ class GroupFactor:
         Args:
             N: Coarse matrix, (N_c, N_c), distributed in any way.
             options: Options of the solver.
-            symmetric: Whether N is symmetric (Cholesky) or not (LU).
+            is_symmetric: Whether N is symmetric (Cholesky) or not (LU).
             zero_pivot: Multiple of the norm of N up to which a pivot is zero; None for exact zeros.
 
         Raises:
@@ -73,19 +73,19 @@ class GroupFactor:
         try:
             self._rows = _rows_of_process(N_c, self.group)
             self._matrix = self._owned.own(_redistribute(N, self._rows, self.group))
-            self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+            self._matrix.setOption(PETSc.Mat.Option.SYMMETRIC, is_symmetric)
             self._b, self._x = (self._owned.own(vector) for vector in self._matrix.createVecs())
             scatter, x_all = PETSc.Scatter.toAll(self._x)
             self._to_all = self._owned.own(scatter)
             self._x_all = self._owned.own(x_all)  # x on each process of the group, (N_c,)
             if N_c:
-                self.ksp = on_all(lambda: self._factor(options, symmetric, zero_pivot), comm)
+                self.ksp = on_all(lambda: self._factor(options, is_symmetric, zero_pivot), comm)
         except Exception:
             self.destroy()
             raise
 
     def _factor(
-        self, options: DirectOptions, symmetric: bool, zero_pivot: float | None
+        self, options: DirectOptions, is_symmetric: bool, zero_pivot: float | None
     ) -> PETSc.KSP:
         """Return a solver with a factor, which this object destroys. Collective on the group."""
 
@@ -94,7 +94,7 @@ class GroupFactor:
             ksp.setOptionsPrefix(options.prefix)
             ksp.setOperators(self._matrix)
             ksp.setType(PETSc.KSP.Type.PREONLY)
-            set_default_solver(ksp.getPC(), symmetric)
+            set_default_solver(ksp.getPC(), is_symmetric)
             ksp.setFromOptions()
             set_mumps_controls(ksp.getPC(), percent, zero_pivot)
 

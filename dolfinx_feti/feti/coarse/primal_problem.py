@@ -64,7 +64,7 @@ class PrimalCoarseProblem:
         S: SchurOperator,
         *,
         options: DirectOptions,
-        symmetric: bool = True,
+        is_symmetric: bool = True,
         reused: Combinations | None = None,
     ) -> None:
         """Assemble and factor the Galerkin matrix. Collective.
@@ -73,8 +73,8 @@ class PrimalCoarseProblem:
             V: The averaged columns, which outlive this object; the caller destroys them.
             S: Schur complements of the present matrix.
             options: Options of the coarse solver.
-            symmetric: Whether A is symmetric. If not, A₀ is factored by LU, which does not count
-                negative eigenvalues.
+            is_symmetric: Whether A is symmetric. If not, A₀ is factored by LU, which does not
+                count negative eigenvalues.
             reused: Combinations of the columns by the matrix to which V and K_ρ⁻¹ belong, if that
                 is an earlier one. None if they belong to the present matrix: then the combinations
                 are computed, and Vᵀ A may be stored in single precision (``products``).
@@ -88,7 +88,7 @@ class PrimalCoarseProblem:
         tolerances = energy_tolerances(interface_stiffness(V, S), comm)
         with Lifetime() as owned:
             self.VtA, energies = compute_products(
-                V, S, symmetric=symmetric, allow_single_precision=reused is None
+                V, S, is_symmetric=is_symmetric, allow_single_precision=reused is None
             )
             owned.own(self.VtA)
             with Lifetime() as temporary:
@@ -105,13 +105,13 @@ class PrimalCoarseProblem:
                 B = self.combinations.independent
                 self.A_0 = owned.own(change_of_basis(energies, B))  # Bᵀ Vᵀ A V B
             self._fix_null_space(S)
-            self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+            self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, is_symmetric)
 
             self.solver = owned.own(
                 CoarseSolver(
                     self.A_0,
                     options=options,
-                    symmetric=symmetric,
+                    is_symmetric=is_symmetric,
                     errors=V.copies.errors,
                     zero_pivot=tolerances.zero_pivot,
                     block_widths=self.combinations.widths,
@@ -121,7 +121,7 @@ class PrimalCoarseProblem:
                 self.VtA.store_in_double_precision()
 
             self.negative_eigenvalues = self.solver.inertia().negative
-            if symmetric and self.negative_eigenvalues:
+            if is_symmetric and self.negative_eigenvalues:
                 self.negative_eigenvalues = self._negative_beyond_rounding(S, options)
             self.zero_energy = ZeroEnergyFields(V, self.combinations, self.A_0, self.solver)
             self._x, self._e = (owned.own(vector) for vector in self.A_0.createVecs())
@@ -214,5 +214,5 @@ class PrimalCoarseProblem:
             shifted.setDiagonal(ε, addv=PETSc.InsertMode.ADD_VALUES)
             # Without block widths: A₀ + ε most often has negative eigenvalues, and no factor by
             # fronts, and a group counts them.
-            solver = owned.own(CoarseSolver(shifted, options=options, symmetric=True))
+            solver = owned.own(CoarseSolver(shifted, options=options, is_symmetric=True))
             return solver.inertia().negative

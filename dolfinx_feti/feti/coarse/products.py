@@ -65,20 +65,20 @@ class StoredProducts:
     """
 
     def __init__(
-        self, V: AveragedBasis, S: SchurOperator, *, symmetric: bool, Y_transposed: list[Rows]
+        self, V: AveragedBasis, S: SchurOperator, *, is_symmetric: bool, Y_transposed: list[Rows]
     ) -> None:
         """Refer to V and S, which outlive this object, and keep the products.
 
         Args:
             V: The coarse basis.
             S: Schur complements of the present matrix.
-            symmetric: Whether the S_i are symmetric.
+            is_symmetric: Whether the S_i are symmetric.
             Y_transposed: Y_iᵀ of each subdomain, (c_i, n_{Γ,i}).
         """
         self.Y_transposed = Y_transposed
         self._V = V
         self._S = S
-        self._symmetric = symmetric
+        self._is_symmetric = is_symmetric
 
     def multiply(self, z: Array) -> Array:
         """Return Vᵀ A z of an assembled z by its copies, (n_Γ,) → (n_c,). Collective."""
@@ -108,7 +108,7 @@ class StoredProducts:
         def compute() -> None:
             for i, Yt in enumerate(self.Y_transposed):
                 if Yt.dtype != np.float64:
-                    Y_i = _product(self._V, self._S, i, symmetric=self._symmetric)
+                    Y_i = _product(self._V, self._S, i, is_symmetric=self._is_symmetric)
                     self.Y_transposed[i] = np.ascontiguousarray(Y_i.T)
 
         on_subdomains(compute, self._V.copies.comm)
@@ -119,14 +119,14 @@ class StoredProducts:
 
 
 def compute_products(
-    V: AveragedBasis, S: SchurOperator, *, symmetric: bool, allow_single_precision: bool
+    V: AveragedBasis, S: SchurOperator, *, is_symmetric: bool, allow_single_precision: bool
 ) -> tuple[StoredProducts, PETSc.Mat]:
     """Compute Vᵀ A and Vᵀ A V, in one pass over the subdomains. Collective.
 
     Args:
         V: The coarse basis.
         S: Schur complements of the present matrix.
-        symmetric: Whether the S_i are symmetric.
+        is_symmetric: Whether the S_i are symmetric.
         allow_single_precision: Whether V and K_ρ⁻¹ belong to the present matrix. After subdomains
             were scaled by 1e-2 to 1e3, a solve with the old preconditioner takes 25 iterations more
             in double precision, and 148 more in single precision.
@@ -145,15 +145,15 @@ def compute_products(
     def compute() -> None:
         for i, (W_i, rows) in enumerate(zip(V.W, V.copies.rows, strict=True)):
             is_single = allow_single_precision and _fits_single_precision(stiffness[rows])
-            Y_i = _product(V, S, i, symmetric=symmetric)
+            Y_i = _product(V, S, i, is_symmetric=is_symmetric)
             Y_transposed.append(
                 np.ascontiguousarray(Y_i.T, np.float32 if is_single else np.float64)
             )
-            element = W_i.overlap(Y_i, symmetric=symmetric)  # W_iᵀ Y_i = (W_iᵀ S_i W_i)ᵀ
-            assembler.add(i, element if symmetric else element.T)
+            element = W_i.overlap(Y_i, symmetric=is_symmetric)  # W_iᵀ Y_i = (W_iᵀ S_i W_i)ᵀ
+            assembler.add(i, element if is_symmetric else element.T)
 
     on_subdomains(compute, comm)
-    products = StoredProducts(V, S, symmetric=symmetric, Y_transposed=Y_transposed)
+    products = StoredProducts(V, S, is_symmetric=is_symmetric, Y_transposed=Y_transposed)
     return products, assembler.assemble()
 
 
@@ -162,9 +162,9 @@ def interface_stiffness(V: AveragedBasis, S: SchurOperator) -> Array:
     return np.abs(S.torn.diagonal()[V.copies.dofs])
 
 
-def _product(V: AveragedBasis, S: SchurOperator, i: int, *, symmetric: bool) -> Array:
+def _product(V: AveragedBasis, S: SchurOperator, i: int, *, is_symmetric: bool) -> Array:
     """Return Y_i = S_iᵀ W_i, (n_{Γ,i}, c_i)."""
-    return S.blocks[i].multiply_panels(V.W[i], transpose=not symmetric)
+    return S.blocks[i].multiply_panels(V.W[i], transpose=not is_symmetric)
 
 
 def _fits_single_precision(stiffness: Array) -> bool:

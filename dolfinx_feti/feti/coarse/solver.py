@@ -62,7 +62,7 @@ class CoarseSolver:
         N: PETSc.Mat,
         *,
         options: DirectOptions,
-        symmetric: bool,
+        is_symmetric: bool,
         errors: DeferredErrors | None = None,
         zero_pivot: float | None = None,
         block_widths: Numbers | None = None,
@@ -73,7 +73,7 @@ class CoarseSolver:
             N: Coarse matrix, (N_c, N_c), distributed by rows in any way, unless there are
                 ``block_widths``.
             options: Options of the solver.
-            symmetric: Whether N is symmetric (Cholesky) or not (LU).
+            is_symmetric: Whether N is symmetric (Cholesky) or not (LU).
             errors: Collector of errors of local work in iterations. If None, they are dropped: the
                 caller sees the NaN that a failed solve returns.
             zero_pivot: Multiple of the norm of N up to which a pivot is zero; the solution is zero
@@ -99,14 +99,16 @@ class CoarseSolver:
         self.inverse = None
         factor: FrontFactor | GroupFactor | None = None
         try:
-            if symmetric and block_widths is not None:
+            if is_symmetric and block_widths is not None:
                 factor = factor_by_fronts(
                     N, block_widths, self._sharing, options=options, zero_pivot=zero_pivot
                 )
                 if factor is not None and is_small:
                     self.inverse = _accurate_inverse(N, factor)
             if factor is None:
-                factor = GroupFactor(N, options=options, symmetric=symmetric, zero_pivot=zero_pivot)
+                factor = GroupFactor(
+                    N, options=options, is_symmetric=is_symmetric, zero_pivot=zero_pivot
+                )
         except Exception as error:
             self._sharing.Free()
             raise SetUpError(

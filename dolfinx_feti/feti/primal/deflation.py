@@ -128,7 +128,7 @@ def create_deflation_space(
     S: SchurOperator,
     vectors: DeflationVectors | None,
     *,
-    symmetric: bool = True,
+    is_symmetric: bool = True,
 ) -> DeflationSpace:
     """Balance the vectors and multiply them with the current matrix. Collective.
 
@@ -139,7 +139,7 @@ def create_deflation_space(
         copies: Copies of the interface dofs.
         S: Schur complements of the subdomains of this process.
         vectors: W and M⁻¹ W, (n_Γ, k) each; None for V alone.
-        symmetric: Whether A is symmetric.
+        is_symmetric: Whether A is symmetric.
     """
     comm = copies.comm
     with event("FETIRecycling"):
@@ -148,7 +148,9 @@ def create_deflation_space(
         W = _balanced(coarse, copies, S, vectors.W)
         B = _combinations_outside_V(copies, vectors.W, W)
         W = W @ B
-        Y = on_subdomains(lambda: S.multiply_columns(W, transpose=not symmetric), comm)  # Y = Sᵀ W
+        Y = on_subdomains(
+            lambda: S.multiply_columns(W, transpose=not is_symmetric), comm
+        )  # Y = Sᵀ W
         H = total_of(Y.T @ W, comm)  # H = Wᵀ A W
         θ, B_θ, H_inverse = on_all(lambda: _diagonal_and_inverse(H), comm)
         is_indefinite = bool(coarse.negative_eigenvalues)

@@ -294,7 +294,7 @@ def create_primal_formulation(
             preconditioner.V,
             S,
             options=options,
-            symmetric=pattern.is_symmetric,
+            is_symmetric=pattern.is_symmetric,
             reused=preconditioner.combinations,
         )
         within.own(coarse)
@@ -302,7 +302,9 @@ def create_primal_formulation(
         _require_no_mechanism(pattern, S, preconditioner, coarse)
     if vectors is None:
         vectors = _first_vectors(pattern, S, preconditioner, coarse)
-    deflation = create_deflation_space(coarse, copies, S, vectors, symmetric=pattern.is_symmetric)
+    deflation = create_deflation_space(
+        coarse, copies, S, vectors, is_symmetric=pattern.is_symmetric
+    )
     interior = sum_if_known(S.negative_interior, pattern.torn.comm)
     negative = coarse.negative_eigenvalues
     assembled = None if negative is None or interior is None else negative + interior

@@ -109,7 +109,7 @@ def null_vectors(N: PETSc.Mat, count: int, *, options: DirectOptions) -> Array:
         b, x = (owned.own(vector) for vector in N.createVecs())
         b.array[:] = SHIFT * d
         shifted.setDiagonal(b, addv=PETSc.InsertMode.ADD_VALUES)
-        solver = owned.own(CoarseSolver(shifted, options=options, symmetric=True))
+        solver = owned.own(CoarseSolver(shifted, options=options, is_symmetric=True))
         X = _random_columns(N, min(count, N.getSize()[0]))
         for _ in range(ROUNDS):
             Y = np.empty_like(X)

@@ -42,7 +42,7 @@ class Distributed:
         for i in range(*self.N.getOwnershipRange()):
             self.N.setValues(i, range(len(A)), A[i])
         self.N.assemble()
-        arguments = {"options": read_direct_options(PREFIX), "symmetric": True, **arguments}
+        arguments = {"options": read_direct_options(PREFIX), "is_symmetric": True, **arguments}
         self.solver = lifetime.own(CoarseSolver(self.N, **arguments))
 
     def solve_random(self, seed=SEED):
@@ -84,7 +84,7 @@ def test_group_factor_on_any_number_of_processes(rows, symmetric, factored, monk
     monkeypatch.setattr(ROWS_PER_PROCESS, rows)
     n = 7
     A = tridiagonal(n, lower=-1.0 if symmetric else -0.3)
-    system = factored(A, symmetric=symmetric)
+    system = factored(A, is_symmetric=symmetric)
     solver = system.solver
     active = min(COMM.size, -(-n // rows))
     agree(active <= solver.factor.ksp.comm.size < 2 * active)
