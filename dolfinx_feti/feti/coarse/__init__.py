@@ -22,8 +22,8 @@ The paper is C. M. Augustin, G. A. Holzapfel and O. Steinbach, *IJNME* 99
 
 **Further columns of the primal formulation**, such as unit displacements of corner dofs, are a
 function that returns columns U_i of each subdomain, (n_{Γ,i}, any number), as ``adaptive`` does.
-``primal.preconditioner`` appends them to E. Nothing else changes: owners, blocks and matrices
-follow from the widths of the U_i.
+``primal.preconditioner`` appends them to E, before it computes adaptive columns. Nothing else
+changes: owners, blocks and matrices follow from the widths of the U_i.
 
 A column has one contributor. Averaging spreads it to the neighbours: the unit vector of a dof in
 one of its copies becomes δ times that of the assembled dof. If several subdomains contributed it,

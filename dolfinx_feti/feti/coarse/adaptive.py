@@ -11,10 +11,11 @@ subdomain contributes to an average, over that of u. The eigenvectors (Spillane 
 Rayleigh–Ritz method in a block Krylov space
 
 .. math:: X_k = S_ρ^{-1} F_k, \qquad F_{k+1} = P\, δ\, T_i A\, T_i^⊤ δ\, X_k, \qquad
-          P = I - Q Q^⊤, \quad Q^⊤ Q = I, \quad \operatorname{span} Q = \operatorname{span} E,
+          P = I - Q Q^⊤, \quad Q^⊤ Q = I, \quad \operatorname{span} Q = \operatorname{span} U_0,
 
-from random forces F₀. P removes the forces that do work on the other coarse columns E,
-:math:`E^⊤ F = 0`: the coarse space balances these already.
+from random forces F₀. :math:`U_0` are the other coarse columns of the subdomain, E for instance. P
+removes the forces that do work on them, :math:`U_0^⊤ F = 0`: the coarse space balances these
+already.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ INTERFACE_DOFS_FOR_ALL_COLUMNS = 640
 #: combinations that are accurate to half of the digits. The square root of the rounding unit.
 DEPENDENT_ENERGY = 1e-8
 
-#: Norm of P f up to which it is rounding, for a force of norm one that E balances. The square root
+#: Norm of P f up to which it is rounding, for a force of norm one that U₀ balances. The square root
 #: of the rounding unit, between EPS and the norms of other forces.
 FORCE_ROUNDING = 1e-8
 
@@ -72,7 +73,7 @@ def adaptive_columns(
     copies: Copies,
     multiply_A: MultiplyOnSubdomain,
     solve_S: MultiplyOnSubdomain,
-    E: Sequence[Array],
+    U_0: Sequence[Array],
     *,
     max_columns: int,
     threshold: float = ENERGY_RATIO_THRESHOLD,
@@ -84,7 +85,7 @@ def adaptive_columns(
         multiply_A: Product with :math:`T_i A T_i^⊤`; not collective. It is called for one subdomain
             after the other.
         solve_S: Product with :math:`S_{ρ,i}^{-1}`, likewise.
-        E: Columns of each subdomain that the coarse space contains anyway, (n_{Γ,i}, any number).
+        U_0: All other coarse columns of each subdomain, (n_{Γ,i}, any number).
         max_columns: Largest number of columns of a subdomain.
         threshold: The bound χ₀.
 
@@ -102,15 +103,15 @@ def adaptive_columns(
         return _columns_of_subdomain(
             multiply_average=lambda X: δ * multiply_A(i, δ * X),  # δ T_i A T_iᵀ δ X
             solve=lambda F: solve_S(i, F),
-            E=E[i],
-            max_columns=_max_columns(rows.stop - rows.start, max_columns),
+            U_0=U_0[i],
+            max_columns=_columns_in_proportion(rows.stop - rows.start, max_columns),
             threshold=threshold,
         )
 
     return on_subdomains(lambda: [columns(i) for i in range(len(copies.rows))], copies.comm)
 
 
-def _max_columns(n: int, max_columns: int) -> int:
+def _columns_in_proportion(n: int, max_columns: int) -> int:
     """Return the largest number of adaptive columns of a subdomain.
 
     Args:
@@ -126,28 +127,28 @@ def _max_columns(n: int, max_columns: int) -> int:
 
 
 def _columns_of_subdomain(
-    *, multiply_average: Multiply, solve: Multiply, E: Array, max_columns: int, threshold: float
+    *, multiply_average: Multiply, solve: Multiply, U_0: Array, max_columns: int, threshold: float
 ) -> Array:
     """Compute the adaptive columns of one subdomain.
 
     Args:
         multiply_average: Product with δ T_i A T_iᵀ δ.
         solve: Product with S_ρ⁻¹.
-        E: Its other coarse columns, (n, any number).
+        U_0: Its other coarse columns, (n, any number).
         max_columns: Largest number of columns.
         threshold: The bound χ₀.
 
     Returns:
         U with Uᵀ S_ρ U = I, largest χ first, (n, ≤ max_columns).
     """
-    n = len(E)
+    n = len(U_0)
     if max_columns == 0:
         return np.zeros((n, 0))
     block_size = -(-max_columns // MAX_STEPS)  # rounded up
     space = _KrylovSpace(
         multiply_average=multiply_average,
         solve=solve,
-        Q=np.linalg.qr(E)[0],
+        Q=np.linalg.qr(U_0)[0],
         n=n,
         max_size=MAX_STEPS * block_size,
     )
@@ -175,7 +176,7 @@ class _KrylovSpace:
         Args:
             multiply_average: Product with δ T_i A T_iᵀ δ.
             solve: Product with S_ρ⁻¹.
-            Q: Orthonormal basis of the span of E, (n, k_E).
+            Q: Orthonormal basis of the span of U₀, (n, any number).
             n: Number of interface dofs of the subdomain.
             max_size: Largest number of columns of all calls of :meth:`extend` together.
         """
@@ -185,14 +186,14 @@ class _KrylovSpace:
         self._size = 0
         self._U = np.empty((n, max_size), order="F")
         self._SU = np.empty((n, max_size), order="F")  # S_ρ U
-        self._H = np.empty((max_size, max_size))  # Uᵀ S_ρ U, upper triangle
-        self._C = np.empty((max_size, max_size))  # Uᵀ δ T_i A T_iᵀ δ U, upper triangle
+        self._energy = np.empty((max_size, max_size))  # Uᵀ S_ρ U, upper triangle
+        self._average_energy = np.empty((max_size, max_size))  # Uᵀ δ T_i A T_iᵀ δ U, upper triangle
 
     def extend(self, forces: Array) -> Array:
         """Append S_ρ⁻¹ P F for forces F, orthonormalised.
 
         Args:
-            forces: F, (n, k). Forces that E balances, and columns that depend on others, are
+            forces: F, (n, k). Forces that U₀ balances, and columns that depend on others, are
                 left out.
 
         Returns:
@@ -227,8 +228,8 @@ class _KrylovSpace:
         self._SU[:, new] = SX
         U = self._U[:, : self._size]
         forces = self._multiply_average(self._U[:, new])
-        self._H[: self._size, new] = U.T @ self._SU[:, new]
-        self._C[: self._size, new] = U.T @ forces
+        self._energy[: self._size, new] = U.T @ self._SU[:, new]
+        self._average_energy[: self._size, new] = U.T @ forces
         return forces
 
     def is_mostly_above(self, threshold: float) -> bool:
@@ -236,16 +237,16 @@ class _KrylovSpace:
 
         Uᵀ S_ρ U is taken to be I: the rounding errors of a few values do not change the majority.
         """
-        χ = np.linalg.eigvalsh(self._C[: self._size, : self._size], UPLO="U")
+        χ = np.linalg.eigvalsh(self._average_energy[: self._size, : self._size], UPLO="U")
         return 2 * np.count_nonzero(χ > threshold) > len(χ)
 
     def ritz_vectors(self, threshold: float) -> Array:
         """Return the Ritz vectors with χ above a threshold, largest first, (n, ≤ size)."""
         U = self._U[:, : self._size]
-        C = self._C[: self._size, : self._size]
-        C = np.triu(C) + np.triu(C, 1).T
-        B = _unit_energy(self._H[: self._size, : self._size])
-        χ, Y = np.linalg.eigh(B.T @ C @ B)
+        upper = self._average_energy[: self._size, : self._size]
+        average_energy = np.triu(upper) + np.triu(upper, 1).T
+        B = _unit_energy(self._energy[: self._size, : self._size])
+        χ, Y = np.linalg.eigh(B.T @ average_energy @ B)
         descending = np.flatnonzero(χ > threshold)[::-1]
         return np.asarray(U @ (B @ Y[:, descending]))
 

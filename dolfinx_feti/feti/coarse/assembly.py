@@ -49,7 +49,7 @@ class CoarseAssembler:
         self._dofmap = dofmap
         self._code = load_with_header(Path(__file__).with_name("assembly.c"), comm)
         self._pattern, self._block_of_panel = on_subdomains(
-            lambda: create_pattern(dofmap.first_dof, dofmap.width, dofmap.panels), comm
+            lambda: create_pattern(dofmap.first_dofs, dofmap.widths, dofmap.panels), comm
         )
         self._values = on_subdomains(lambda: np.zeros(self._pattern.start[-1]), comm)
 
@@ -123,22 +123,22 @@ class BlockPattern:
 
 
 def create_pattern(
-    first_dof: Numbers, width: Indices, panels: Sequence[slice]
+    first_dofs: Numbers, widths: Indices, panels: Sequence[slice]
 ) -> tuple[BlockPattern, Indices]:
     """Return the pattern of the sum of element matrices.
 
     Args:
-        first_dof: First dof of each panel, (panels,). Panels of the same block have the same one.
-        width: Number of dofs of each panel, (panels,).
+        first_dofs: First dof of each panel, (panels,). Panels of the same block have the same one.
+        widths: Number of dofs of each panel, (panels,).
         panels: Panels of each subdomain.
 
     Returns:
         The pattern, and the block of each panel, (panels,).
     """
-    first_dof_of_block, inverse = np.unique(first_dof, return_inverse=True)
+    first_dof_of_block, inverse = np.unique(first_dofs, return_inverse=True)
     block_of_panel = inverse.astype(np.int32)
     block_width = np.zeros(len(first_dof_of_block), dtype=np.int32)
-    block_width[block_of_panel] = width
+    block_width[block_of_panel] = widths
     ones = np.ones(len(block_of_panel), dtype=np.int32)
     panel_ends = [0, *(each.stop for each in panels)]
     blocks_of_subdomain = scipy.sparse.csr_array(

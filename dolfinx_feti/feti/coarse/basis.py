@@ -53,16 +53,17 @@ def averaged_columns(copies: Copies, U: Sequence[Array]) -> LocalCoarseBasis:
         U: Columns that each subdomain contributes, (n_{Γ,i}, k_i).
     """
     first_dof, width = _blocks_of_rows(copies, U)
-    pairs = _Pairs(copies.pair_rows, copies.fetch(first_dof), copies.fetch(width))
+    # V is nonzero in a row for the block of each copy of its dof.
+    panel_rows = _PanelRows(copies.pair_rows, copies.fetch(first_dof), copies.fetch(width))
 
     def averages(j: int) -> Array:
-        """Return T V in each pair, for column j of the block of the pair, (pairs,). Collective.
+        """Return T V in each panel row, for column j of its block, (panel rows,). Collective.
 
         The column is nonzero in one of the copies alone, so that the sum over them has one term.
         """
         return copies.fetch(copies.delta * _column_of_each_block(copies, U, j))  # δ U
 
-    return _local_basis(copies, pairs, averages)
+    return _local_basis(copies, panel_rows, averages)
 
 
 def jump_columns(copies: Copies, U: Sequence[Array]) -> LocalCoarseBasis:
@@ -76,39 +77,39 @@ def jump_columns(copies: Copies, U: Sequence[Array]) -> LocalCoarseBasis:
     first_row = copies.comm.scan(copies.size) - copies.size  # of this process, over all processes
     with_itself = copies.pair_copies == first_row + copies.pair_rows  # a row paired with itself
     prescribed = np.setdiff1d(np.arange(copies.size), copies.pair_rows)  # rows without a pair
-    pairs = _Pairs(
+    panel_rows = _PanelRows(
         row=np.append(copies.pair_rows, prescribed),
         first_dof=np.append(copies.fetch(first_dof), first_dof[prescribed]),
         width=np.append(copies.fetch(width), width[prescribed]),
     )
 
     def jumps(j: int) -> Array:
-        """Return U − T V in each pair, for column j of the block of the pair. Collective."""
+        """Return U − T V in each panel row, for column j of its block. Collective."""
         u = _column_of_each_block(copies, U, j)
         jump = -copies.fetch(copies.delta * u)  # −T V
         jump[with_itself] += u[copies.pair_rows[with_itself]]  # U − T V
         return np.append(jump, u[prescribed])  # V = 0
 
-    return _local_basis(copies, pairs, jumps)
+    return _local_basis(copies, panel_rows, jumps)
 
 
 @dataclass(frozen=True, slots=True)
-class _Pairs:
-    """Pairs of an interface row and a block whose columns are nonzero in it.
+class _PanelRows:
+    """The rows of all panels of this process: an interface row, and a block of columns in it.
 
     Attributes:
-        row: Interface row of this process, (pairs,).
-        first_dof: First coarse dof of the block, which identifies it, (pairs,).
-        width: Number of columns of the block, k_j, (pairs,).
+        row: Interface row of this process, (panel rows,).
+        first_dof: First coarse dof of the block, which identifies it, (panel rows,).
+        width: Number of columns of the block, k_j, (panel rows,).
     """
 
     row: Integers
     first_dof: Numbers
     width: Numbers
 
-    def __getitem__(self, pairs: Integers) -> _Pairs:
-        """Return the pairs with these indices, in their order."""
-        return _Pairs(self.row[pairs], self.first_dof[pairs], self.width[pairs])
+    def in_order(self, order: Integers) -> _PanelRows:
+        """Return the panel rows with these indices, in their order."""
+        return _PanelRows(self.row[order], self.first_dof[order], self.width[order])
 
 
 def _blocks_of_rows(copies: Copies, U: Sequence[Array]) -> tuple[Numbers, Numbers]:
@@ -139,102 +140,88 @@ def _column_of_each_block(copies: Copies, U: Sequence[Array], j: int) -> Array:
 
 
 def _local_basis(
-    copies: Copies, pairs: _Pairs, column_values: Callable[[int], Array]
+    copies: Copies, panel_rows: _PanelRows, column_values: Callable[[int], Array]
 ) -> LocalCoarseBasis:
     """Collect the values of the columns in panels. Collective.
 
-    Sorting the pairs by subdomain and block makes those of each panel consecutive. The values of a
-    pair are one row of its panel; they are fetched from the neighbours column by column. Then each
-    panel is a slice of the sorted pairs and of their values.
+    Sorting the panel rows by subdomain and block makes those of each panel consecutive. Their
+    values are fetched from the neighbours column by column, and stored row by row. Each panel is
+    then a slice of the sorted rows and of their values.
 
     Args:
         copies: Copies of the interface dofs.
-        pairs: Where the columns are nonzero; each row once for each block.
-        column_values: Returns the values of column j of the block of each pair, (pairs,); those of
-            pairs whose block has no column j are ignored. Collective.
+        panel_rows: Where the columns are nonzero; each interface row once for each block.
+        column_values: Returns the values of column j of the block of each panel row, (panel rows,);
+            those of blocks without a column j are ignored. Collective.
     """
     comm = copies.comm
     code = load_panels(comm)
     subdomain_ends = [rows.stop for rows in copies.rows]
-    subdomain = np.searchsorted(subdomain_ends, pairs.row, side="right")
-    order = np.lexsort((pairs.first_dof, subdomain))  # stable: rows stay in ascending order
-    order = order[pairs.width[order] > 0]
-    pairs = pairs[order]
+    subdomain = np.searchsorted(subdomain_ends, panel_rows.row, side="right")
+    order = np.lexsort((panel_rows.first_dof, subdomain))  # stable: rows stay in ascending order
+    order = order[panel_rows.width[order] > 0]
+    panel_rows = panel_rows.in_order(order)
     subdomain = subdomain[order]
-    values, first_value = _values_of_pairs(pairs, lambda j: column_values(j)[order], comm)
+    values, first_value = _values_of_rows(panel_rows, lambda j: column_values(j)[order], comm)
 
     is_new_subdomain = np.diff(subdomain, prepend=-1) != 0
-    is_new_block = np.diff(pairs.first_dof, prepend=-1) != 0
-    first_pair = np.flatnonzero(is_new_subdomain | is_new_block)  # of each panel, (panels,)
-    bounds = _PanelBounds(
-        pair=np.append(first_pair, len(order)),
-        value=np.append(first_value[first_pair], len(values)),
-        panel=np.searchsorted(subdomain[first_pair], np.arange(len(copies.rows) + 1)),
+    is_new_block = np.diff(panel_rows.first_dof, prepend=-1) != 0
+    first_of_panel = np.flatnonzero(is_new_subdomain | is_new_block)  # panel rows, (panels,)
+    # Where each panel begins among the panel rows and values, and the ends, (panels + 1,) each.
+    row_bounds = np.append(first_of_panel, len(order))
+    value_bounds = np.append(first_value[first_of_panel], len(values))
+    # Where each subdomain begins among the panels, and the end, (subdomains + 1,).
+    panel_bounds = np.searchsorted(subdomain[first_of_panel], np.arange(len(copies.rows) + 1))
+    row_in_subdomain = (
+        panel_rows.row - np.array([rows.start for rows in copies.rows], int)[subdomain]
     )
-    row_in_subdomain = pairs.row - np.array([rows.start for rows in copies.rows], int)[subdomain]
 
     def create_panels(i: int) -> Panels:
         """Create W_i from the panels a, …, b − 1."""
-        a, b = bounds.panel[i : i + 2]
-        of_pairs = slice(bounds.pair[a], bounds.pair[b])
-        of_values = slice(bounds.value[a], bounds.value[b])
+        a, b = panel_bounds[i : i + 2]
         rows = copies.rows[i]
         return Panels(
             code=code,
             n=rows.stop - rows.start,
-            starts=_as_indices(bounds.pair[a : b + 1] - bounds.pair[a]),
-            rows=_as_indices(row_in_subdomain[of_pairs]),
-            widths=_as_indices(pairs.width[first_pair[a:b]]),
-            values=values[of_values],
+            starts=_as_indices(row_bounds[a : b + 1] - row_bounds[a]),
+            rows=_as_indices(row_in_subdomain[row_bounds[a] : row_bounds[b]]),
+            widths=_as_indices(panel_rows.width[first_of_panel[a:b]]),
+            values=values[value_bounds[a] : value_bounds[b]],
         )
 
-    first_dof = pairs.first_dof[first_pair]
+    first_dofs = panel_rows.first_dof[first_of_panel]
     return LocalCoarseBasis(
         W=on_all(lambda: [create_panels(i) for i in range(len(copies.rows))], comm),
-        first_dofs=[first_dof[a:b] for a, b in itertools.pairwise(bounds.panel)],
+        first_dofs=[first_dofs[a:b] for a, b in itertools.pairwise(panel_bounds)],
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _PanelBounds:
-    """Where the panels of all subdomains of a process begin, each with the end of the last one.
-
-    Attributes:
-        pair: First pair of each panel, (panels + 1,).
-        value: First value of each panel, (panels + 1,).
-        panel: First panel of each subdomain, (subdomains + 1,).
-    """
-
-    pair: Integers
-    value: Integers
-    panel: Integers
-
-
-def _values_of_pairs(
-    pairs: _Pairs, column_values: Callable[[int], Array], comm: MPI.Comm
+def _values_of_rows(
+    panel_rows: _PanelRows, column_values: Callable[[int], Array], comm: MPI.Comm
 ) -> tuple[Array, Numbers]:
     """Fetch the values of all columns, in one exchange for each column of the widest block.
 
     Collective.
 
     Args:
-        pairs: Pairs in the order of the values.
-        column_values: Returns the values of column j of the block of each pair, (pairs,);
+        panel_rows: Panel rows in the order of the values.
+        column_values: Returns the values of column j of the block of each panel row, (panel rows,);
             collective.
         comm: Communicator of the columns.
 
     Returns:
-        The values of all columns of the first pair, then those of the second one, and so on,
-        (Σ width,); and the index of the first value of each pair, (pairs,).
+        The values of the first panel row, those of the second one, and so on, (Σ width,); and the
+        index of the first value of each panel row, (panel rows,).
 
     Raises:
         MemoryError: The values do not fit into memory; on all processes.
     """
-    first_value = np.cumsum(pairs.width) - pairs.width
-    values = on_all(lambda: np.empty(pairs.width.sum()), comm)
-    widest = comm.allreduce(int(pairs.width.max(initial=0)), op=MPI.MAX)
+    width = panel_rows.width
+    first_value = np.cumsum(width) - width
+    values = on_all(lambda: np.empty(width.sum()), comm)
+    widest = comm.allreduce(int(width.max(initial=0)), op=MPI.MAX)
     for j in range(widest):
-        has_column = pairs.width > j
+        has_column = width > j
         values[first_value[has_column] + j] = column_values(j)[has_column]
     return values, first_value
 

@@ -38,38 +38,40 @@ class CoarseDofMap:
         n_c: Number of dofs that this process owns.
         N_c: Number of dofs over all processes.
         panels: Panels of each subdomain, among all of this process.
-        first_dof: First coarse dof of each panel over all processes, (panels,).
-        width: Number of dofs of each panel, (panels,).
+        first_dofs: First coarse dof of each panel over all processes, (panels,).
+        widths: Number of dofs of each panel, (panels,).
     """
 
-    def __init__(self, basis: LocalCoarseBasis, widths: Sequence[int], comm: MPI.Comm) -> None:
+    def __init__(
+        self, basis: LocalCoarseBasis, block_widths: Sequence[int], comm: MPI.Comm
+    ) -> None:
         """Find the owners of all dofs. Collective.
 
         Args:
             basis: The columns on the interface of each subdomain.
-            widths: Number k_i of columns that each subdomain contributes. The basis does not have
-                those of a subdomain without interface.
+            block_widths: Number k_i of columns that each subdomain contributes. The basis does not
+                have those of a subdomain without interface.
             comm: Communicator of the columns.
         """
         self.comm = comm
-        self.n_c = sum(widths)
+        self.n_c = sum(block_widths)
         self.N_c = comm.allreduce(self.n_c)
         columns = [W_i.shape[1] for W_i in basis.W]  # c_i
         self.rows = consecutive_slices(columns)
         self.c = sum(columns)
         self.panels = consecutive_slices([len(first) for first in basis.first_dofs])
-        self.first_dof = concatenate(basis.first_dofs, np.int64)
-        self.width = concatenate([W_i.widths for W_i in basis.W], np.int32)
-        dofs = consecutive_numbers(self.first_dof, self.width)  # of a torn vector, (c,)
+        self.first_dofs = concatenate(basis.first_dofs, np.int64)
+        self.widths = concatenate([W_i.widths for W_i in basis.W], np.int32)
+        dofs = consecutive_numbers(self.first_dofs, self.widths)  # of a torn vector, (c,)
         self._forest = create_star_forest(dofs, self.n_c, comm)
 
-    def scatter_reverse(self, torn: Array) -> Array:
+    def scatter_reverse(self, torn_e: Array) -> Array:
         """Return the sums Σ C_iᵀ e_i of a torn vector at the owners, (c,) → (n_c,). Collective."""
-        return sum_leaves(self._forest, torn, self.n_c)
+        return sum_leaves(self._forest, torn_e, self.n_c)
 
-    def scatter_forward(self, distributed: Array) -> Array:
-        """Return the dofs C_i s of all subdomains, (n_c,) → (c,). Collective."""
-        return broadcast(self._forest, distributed, self.c)
+    def scatter_forward(self, s: Array) -> Array:
+        """Return the torn vector of C_i s of a distributed one, (n_c,) → (c,). Collective."""
+        return broadcast(self._forest, s, self.c)
 
     def destroy(self) -> None:
         """Free the star forest."""

@@ -6,10 +6,10 @@ r"""Combinations of the coarse columns that are independent in energy, subdomain
 .. math:: B^⊤ (V^⊤ A\, V)\, B, \qquad b_j^⊤ (V^⊤ A\, V)\, b_j = ±1
 
 with a block-diagonal B, (n_c, n_0), n_0 ≤ n_c. For each subdomain, the matrix
-:math:`H_i = U_i^⊤ T_i A\, T_i^⊤ U_i` of the energies of its averaged columns, (k_i, k_i), is scaled
-to a diagonal of ±1. Eigenvectors whose eigenvalue is rounding are *combinations of zero energy*;
-the others, scaled to energy ±1, are the columns of B. Columns of different subdomains may still
-depend on each other. Then :math:`A_0` has a zero pivot.
+:math:`H_i = U_i^⊤ δ\, T_i A\, T_i^⊤ δ\, U_i` of the energies of its averaged columns, (k_i, k_i),
+is scaled to a diagonal of ±1. Eigenvectors whose eigenvalue is rounding are *combinations of zero
+energy*, the columns of :math:`B_0`; the others, scaled to energy ±1, are the columns of B. Columns
+of different subdomains may still depend on each other. Then :math:`A_0` has a zero pivot.
 """
 
 from __future__ import annotations
@@ -80,20 +80,19 @@ class Combinations:
     """Combinations of the columns of this process, each within one subdomain.
 
     Attributes:
-        independent: B, with energies ±1; block-diagonal, (n_c, n_0).
-        zero_energy: Combinations of zero energy; block-diagonal, (n_c, any number).
-        widths: Number of independent combinations of each subdomain, with the sum n_0.
+        B: Independent combinations, with energies ±1; block-diagonal, (n_c, n_0).
+        B_0: Combinations of zero energy; block-diagonal, (n_c, any number).
+        widths: Number of columns of B of each subdomain, with the sum n_0.
     """
 
-    independent: scipy.sparse.csr_array
-    zero_energy: scipy.sparse.csr_array
+    B: scipy.sparse.csr_array
+    B_0: scipy.sparse.csr_array
     widths: Numbers
 
     def without_zero_energy(self) -> Combinations:
         """Return B alone, for a later matrix, for which the energies are not computed again."""
-        n_c = self.independent.shape[0]
-        none = scipy.sparse.csr_array((n_c, 0))
-        return Combinations(self.independent, zero_energy=none, widths=self.widths)
+        n_c = self.B.shape[0]
+        return Combinations(self.B, B_0=scipy.sparse.csr_array((n_c, 0)), widths=self.widths)
 
 
 def independent_combinations(
@@ -110,12 +109,12 @@ def independent_combinations(
     n_c = energies.getLocalSize()[0]
     local = scipy.sparse.csr_array((values, indices, indptr), shape=(n_c, n_c))
     split = [_split_by_energy(local[block, block].toarray(), tolerance) for block in blocks]
-    independent = block_diagonal([with_energy for with_energy, _ in split])
-    independent.eliminate_zeros()  # change_of_basis recognises a diagonal B by its entries
+    B = block_diagonal([B_i for B_i, _ in split])
+    B.eliminate_zeros()  # change_of_basis recognises a diagonal B by its entries
     return Combinations(
-        independent=independent,
-        zero_energy=block_diagonal([zero_energy for _, zero_energy in split]),
-        widths=np.array([with_energy.shape[1] for with_energy, _ in split], dtype=np.int64),
+        B=B,
+        B_0=block_diagonal([B_0i for _, B_0i in split]),
+        widths=np.array([B_i.shape[1] for B_i, _ in split], dtype=np.int64),
     )
 
 
@@ -127,19 +126,19 @@ def _split_by_energy(H: Array, tolerance: float) -> tuple[Array, Array]:
         tolerance: Largest zero energy, see :func:`independent_combinations`.
 
     Returns:
-        Combinations of energy ±1, and combinations of zero energy, (k_i, any number) each. If there
-        are none of the latter, the former are the scaled columns themselves: with a diagonal B, the
-        change of basis is cheap.
+        The blocks of B and B₀, combinations of energy ±1 and of zero energy, (k_i, any number)
+        each. If there are none of zero energy, the others are the scaled columns themselves: with a
+        diagonal B, the change of basis is cheap.
     """
     scale = unit_scale(H)
     θ, Q = np.linalg.eigh(symmetric_part(scale[:, None] * H * scale))
     has_energy = np.abs(θ) > tolerance
     if has_energy.all():
         return np.diag(scale), H[:, :0]
-    independent = scale[:, None] * Q[:, has_energy] / np.sqrt(np.abs(θ[has_energy]))
+    B_i = scale[:, None] * Q[:, has_energy] / np.sqrt(np.abs(θ[has_energy]))
     # A column without energy has scale 0, and is a combination of zero energy as it is.
     nonzero_scale = np.where(scale > 0.0, scale, 1.0)
-    return independent, nonzero_scale[:, None] * Q[:, ~has_energy]
+    return B_i, nonzero_scale[:, None] * Q[:, ~has_energy]
 
 
 def change_of_basis(A: PETSc.Mat, B: scipy.sparse.csr_array) -> PETSc.Mat:

@@ -49,13 +49,13 @@ class PrimalCoarseProblem:
     Attributes:
         V: The averaged columns.
         N_c: Number of columns over all processes.
-        combinations: B, and the combinations of zero energy.
+        combinations: B, and the combinations B₀ of zero energy.
         VtA: The products Vᵀ A.
         A_0: Galerkin matrix of V B, (N_0, N_0).
         solver: Its solver.
         negative_eigenvalues: Number of negative eigenvalues of A₀ beyond rounding, a lower bound of
             those of A; None if not known.
-        zero_energy: Fields of zero energy.
+        zero_energy_fields: Fields of zero energy.
     """
 
     def __init__(
@@ -65,7 +65,8 @@ class PrimalCoarseProblem:
         *,
         options: DirectOptions,
         is_symmetric: bool = True,
-        reused: Combinations | None = None,
+        combinations: Combinations | None = None,
+        allow_single_precision: bool = True,
     ) -> None:
         """Assemble and factor the Galerkin matrix. Collective.
 
@@ -75,9 +76,10 @@ class PrimalCoarseProblem:
             options: Options of the coarse solver.
             is_symmetric: Whether A is symmetric. If not, A₀ is factored by LU, which does not
                 count negative eigenvalues.
-            reused: Combinations of the columns by the matrix to which V and K_ρ⁻¹ belong, if that
-                is an earlier one. None if they belong to the present matrix: then the combinations
-                are computed, and Vᵀ A may be stored in single precision (``products``).
+            combinations: Combinations of the columns that were computed for an earlier matrix; None
+                to compute them for the present one.
+            allow_single_precision: Whether Vᵀ A may be stored in single precision, because V and
+                K_ρ⁻¹ belong to the present matrix (``products``).
 
         Raises:
             SetUpError: A product on a subdomain, or the factor of A₀, failed; on all processes.
@@ -88,12 +90,12 @@ class PrimalCoarseProblem:
         tolerances = energy_tolerances(interface_stiffness(V, S), comm)
         with Lifetime() as owned:
             self.VtA, energies = compute_products(
-                V, S, is_symmetric=is_symmetric, allow_single_precision=reused is None
+                V, S, is_symmetric=is_symmetric, allow_single_precision=allow_single_precision
             )
             owned.own(self.VtA)
             with Lifetime() as temporary:
                 temporary.own(energies)  # Vᵀ A V
-                if reused is None:
+                if combinations is None:
                     self.combinations = on_subdomains(
                         lambda: independent_combinations(
                             energies, V.blocks, tolerances.zero_energy
@@ -101,8 +103,8 @@ class PrimalCoarseProblem:
                         comm,
                     )
                 else:
-                    self.combinations = reused.without_zero_energy()
-                B = self.combinations.independent
+                    self.combinations = combinations.without_zero_energy()
+                B = self.combinations.B
                 self.A_0 = owned.own(change_of_basis(energies, B))  # Bᵀ Vᵀ A V B
             self._fix_null_space(S)
             self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, is_symmetric)
@@ -123,7 +125,7 @@ class PrimalCoarseProblem:
             self.negative_eigenvalues = self.solver.inertia().negative
             if is_symmetric and self.negative_eigenvalues:
                 self.negative_eigenvalues = self._negative_beyond_rounding(S, options)
-            self.zero_energy = ZeroEnergyFields(V, self.combinations, self.A_0, self.solver)
+            self.zero_energy_fields = ZeroEnergyFields(V, self.combinations, self.A_0, self.solver)
             self._x, self._e = (owned.own(vector) for vector in self.A_0.createVecs())
             self._owned = owned.pop_all()
 
@@ -160,7 +162,7 @@ class PrimalCoarseProblem:
             The amplitudes of this process, (n_0, k); of no meaning for other fields.
         """
         V = self.V
-        B = self.combinations.independent
+        B = self.combinations.B
         if not Z.size:
             return np.zeros((B.shape[1], Z.shape[1]))
         subdomains = zip(V.U, V.copies.rows, strict=True)
@@ -184,7 +186,7 @@ class PrimalCoarseProblem:
 
     def solve(self, e: Array) -> Array:
         """Return B A₀⁻¹ Bᵀ e, (n_c,) → (n_c,); NaN if the solver fails. Collective."""
-        B = self.combinations.independent
+        B = self.combinations.B
         self._e.array[:] = B.T @ e
         self.solver.solve(self._e, self._x)
         return np.asarray(B @ self._x.array_r)
@@ -206,7 +208,7 @@ class PrimalCoarseProblem:
         """
         bounds = column_energy_rounding(S, self.V.W)
         of_columns = self.V.dofmap.scatter_reverse(concatenate(bounds))
-        B = self.combinations.independent
+        B = self.combinations.B
         with Lifetime() as owned:
             ε = owned.own(self.A_0.createVecRight())
             ε.array[:] = NEGATIVE_ENERGY_MARGIN * (B.multiply(B).T @ of_columns)

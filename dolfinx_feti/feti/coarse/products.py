@@ -90,8 +90,8 @@ class StoredProducts:
                 [rows_product(W_i.code, Yt, z[rows]) for W_i, Yt, rows in subdomains]
             )
 
-        torn = V.copies.errors.guard(multiply_locally, V.dofmap.c)  # Y_iᵀ (T z)_i
-        return V.dofmap.scatter_reverse(torn)
+        torn_e = V.copies.errors.guard(multiply_locally, V.dofmap.c)  # Y_iᵀ (T z)_i
+        return V.dofmap.scatter_reverse(torn_e)
 
     def has_single_precision(self) -> bool:
         """Return True if the products of any subdomain are in single precision. Collective."""

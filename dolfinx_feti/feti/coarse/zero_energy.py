@@ -62,7 +62,7 @@ class ZeroEnergyFields:
         A solver that does not report zero pivots counts as one without any.
         """
         zero_pivots = self._solver.inertia().zero_pivots or 0
-        columns = self._combinations.zero_energy.shape[1]
+        columns = self._combinations.B_0.shape[1]
         return zero_pivots + self._V.copies.comm.allreduce(columns)
 
     def has_mechanism(self) -> bool:
@@ -103,7 +103,7 @@ class ZeroEnergyFields:
                 self._A_0.mult(x, A_0_y)
                 self._solver.solve(A_0_y, x)  # x = A₀⁻¹ A₀ y
                 y = y - x.array_r
-        B = self._combinations.independent
-        B_0 = self._combinations.zero_energy
+        B = self._combinations.B
+        B_0 = self._combinations.B_0
         y_0 = rng.standard_normal(B_0.shape[1])
         return np.asarray(B @ y + B_0 @ y_0)

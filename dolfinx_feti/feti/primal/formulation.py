@@ -295,7 +295,8 @@ def create_primal_formulation(
             S,
             options=options,
             is_symmetric=pattern.is_symmetric,
-            reused=preconditioner.combinations,
+            combinations=preconditioner.combinations,
+            allow_single_precision=not preconditioner.is_reused,
         )
         within.own(coarse)
         require_accurate_solver(coarse.A_0, coarse.solver, options)
@@ -332,14 +333,14 @@ def _require_no_mechanism(
     fields have zero energy, and nothing is checked.
     """
     torn = pattern.torn
-    zero_energy = coarse.zero_energy
-    count = zero_energy.count()
-    if not count or read_null_space(torn).size or not zero_energy.has_mechanism():
+    zero_energy_fields = coarse.zero_energy_fields
+    count = zero_energy_fields.count()
+    if not count or read_null_space(torn).size or not zero_energy_fields.has_mechanism():
         return
     fields = np.zeros((torn.n, min(count, MAX_MOTIONS)))
     for j in range(fields.shape[1]):
         on_interface = np.zeros(torn.n)
-        on_interface[preconditioner.copies.dofs] = zero_energy.field(j)
+        on_interface[preconditioner.copies.dofs] = zero_energy_fields.field(j)
         fields[:, j] = S.extend(on_interface, np.zeros(torn.n))
     is_semidefinite = pattern.is_symmetric and preconditioner.inertia.is_definite
     require_no_mechanism(torn, pattern.bodies, fields, is_semidefinite=is_semidefinite)

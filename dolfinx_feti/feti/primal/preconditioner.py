@@ -74,6 +74,8 @@ def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> P
     S = setup.operator
     copies = within.own(Copies(pattern.torn, S.interfaces, setup.delta))
     with event("FETICoarse"):
+        # The columns of every subdomain, (n_{Γ,i}, any number). Further ones join E here, so that
+        # the adaptive columns leave out what they balance.
         E = setup.inverse.E_on_interface(pattern.torn.comm)
         adaptive = adaptive_columns(
             copies,
@@ -82,10 +84,7 @@ def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> P
             E,
             max_columns=pattern.options.coarse_adaptive,
         )
-        # All kinds of coarse columns; each has the columns of every subdomain, (n_{Γ,i}, any
-        # number).
-        kinds = [E, adaptive]
-        U = [np.hstack(columns) for columns in zip(*kinds, strict=True)]
+        U = [np.hstack(columns) for columns in zip(E, adaptive, strict=True)]
         V = within.own(AveragedBasis(copies, U))
     return PrimalPreconditioner(setup.delta, setup.inverse, setup.inertia, copies, V)
 
