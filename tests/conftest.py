@@ -237,7 +237,7 @@ def torn_grid(lifetime: Lifetime) -> Callable[..., hand_torn.HandTorn]:
 
 
 @pytest.fixture
-def cautious(monkeypatch: pytest.MonkeyPatch) -> None:
+def stops_at_negative_curvature(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the primal formulation stop at negative curvature in its coarse space."""
 
     def iterate(*args: Any, allow_indefinite: bool, **kwargs: Any) -> Any:
@@ -247,36 +247,38 @@ def cautious(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def parts(pattern: Callable[..., Pattern], lifetime: Lifetime) -> Callable[..., DualFormulation]:
+def create_dual(
+    read_pattern: Callable[..., Pattern], lifetime: Lifetime
+) -> Callable[..., DualFormulation]:
     """Build the dual form of a torn matrix, with options as keywords."""
 
     def create(A: PETSc.Mat, **options: object) -> DualFormulation:
-        read = pattern(A, **options)
+        read = read_pattern(A, **options)
         return create_dual_formulation(read, set_up(read, lifetime, lifetime), lifetime)
 
     return create
 
 
 @pytest.fixture
-def double_products(monkeypatch: pytest.MonkeyPatch) -> None:
+def double_precision_products(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep Vᵀ A in double precision, so that identities hold to its rounding."""
     monkeypatch.setattr("dolfinx_feti.feti.coarse.products.MIN_SINGLE_PRECISION_RATIO", 2.0)
 
 
 @pytest.fixture
-def form(
-    pattern: Callable[..., Pattern], double_products: None, lifetime: Lifetime
+def create_primal(
+    read_pattern: Callable[..., Pattern], double_precision_products: None, lifetime: Lifetime
 ) -> Callable[..., PrimalFormulation]:
     """Build the primal form of a torn problem, see :func:`primal_form.create`."""
 
     def create(problem: Any, more: Any = None, **options: object) -> PrimalFormulation:
-        return primal_form.create(pattern(problem.A, deflation=0, **options), lifetime, more)
+        return primal_form.create(read_pattern(problem.A, deflation=0, **options), lifetime, more)
 
     return create
 
 
 @pytest.fixture
-def pattern(lifetime: Lifetime) -> Callable[..., Pattern]:
+def read_pattern(lifetime: Lifetime) -> Callable[..., Pattern]:
     """Read the pattern of a torn matrix, with options as keywords."""
 
     def create(A: PETSc.Mat, **options: object) -> Pattern:
@@ -287,7 +289,7 @@ def pattern(lifetime: Lifetime) -> Callable[..., Pattern]:
 
 
 @pytest.fixture
-def feti(lifetime: Lifetime) -> Callable[..., PETSc.KSP]:
+def create_ksp(lifetime: Lifetime) -> Callable[..., PETSc.KSP]:
     """Make a KSP with a FETI context for a torn matrix, options without prefix as keywords."""
     prefixes = (f"test{i}_" if i else PREFIX for i in itertools.count())
 
@@ -309,7 +311,7 @@ def feti(lifetime: Lifetime) -> Callable[..., PETSc.KSP]:
 
 
 @pytest.fixture
-def solve() -> Callable[..., dolfinx_feti.LinearProblem]:
+def solve_linear() -> Callable[..., dolfinx_feti.LinearProblem]:
     """Solve a problem with LinearProblem; the values of ``options`` are without prefix."""
 
     def run(

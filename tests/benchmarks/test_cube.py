@@ -67,7 +67,7 @@ def test_error_converges_to_the_fundamental_solution(degree, levels, study_of):
 
 
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
-def test_records_say_what_the_hand_torn_cube_says(kind, study_of, feti):
+def test_records_say_what_the_hand_torn_cube_says(kind, study_of, create_ksp):
     """Two codes that share the solver alone agree on counts and on the condition number."""
     cases = (Case(subdomains_per_edge=3, type=kind, pc=pc) for pc in cube.PRECONDITIONERS)
     records = study_of(*cases)
@@ -77,7 +77,7 @@ def test_records_say_what_the_hand_torn_cube_says(kind, study_of, feti):
         agree(set(record) >= KEYS, KEYS - set(record))
         options = {"type": kind, "pc_type": record["pc"], "scaling": "multiplicity"}
         options |= {"coarse_q": "identity", "coarse_modes": 0, "dual_ksp_rtol": 1e-8}
-        ksp = feti(problem.A, **{f"feti_{name}": value for name, value in options.items()})
+        ksp = create_ksp(problem.A, **{f"feti_{name}": value for name, value in options.items()})
         load = np.random.default_rng(5).standard_normal(len(problem.dirichlet))
         b = problem.vector(np.where(problem.dirichlet, load, 0.0))
         ksp.solve(b, problem.A.createVecRight())

@@ -19,11 +19,15 @@ from petsc4py import PETSc
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 from explain import argument, explain
 
 Array = npt.NDArray[np.float64]
 
 COMM = MPI.COMM_WORLD
+
+#: Largest array that a failure shows in full: it fits on a line or two of a terminal.
+MAX_ENTRIES = 12
 
 
 def agree(ok: object, context: object = "") -> None:
@@ -88,12 +92,18 @@ def uniform(values: npt.ArrayLike, value: float, tolerance: float) -> None:
 
 
 def largest_difference(actual: Array, expected: Array) -> str:
-    """Return where arrays of one shape differ most, or where the first NaN is, and both entries."""
+    """Return where arrays of one shape differ most, or where the first NaN is, and both entries.
+
+    Short arrays follow in full, because a list of steps is understood by its first difference.
+    """
     if actual.size == 0:
         return "(no entries)"
     place = np.unravel_index(np.argmax(np.abs(actual - expected)), actual.shape)
     index = ", ".join(str(int(i)) for i in place)
-    return f"(entry [{index}]: {actual[place]} instead of {expected[place]})"
+    entry = f"(entry [{index}]: {actual[place]} instead of {expected[place]})"
+    if not 1 < actual.size <= MAX_ENTRIES:
+        return entry
+    return f"{entry}\n    {actual.tolist()} instead of\n    {expected.tolist()}"
 
 
 def _fail_together(fails: list[bool], message: str) -> NoReturn:
@@ -116,6 +126,11 @@ def raises(kind: type[Exception], match: str) -> Iterator[None]:
         isinstance(caught, kind) and re.search(match, str(caught)),
         f"{caught!r} instead of {kind.__name__} with '{match}'",
     )
+
+
+def logged_messages(caplog: pytest.LogCaptureFixture) -> list[str]:
+    """Return the messages that the first process has logged, on all processes."""
+    return COMM.bcast([record.getMessage() for record in caplog.records])
 
 
 def random_part(n: int, columns: int | None = None, *, seed: int = 1993) -> Array:

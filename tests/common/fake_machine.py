@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A machine for tests of the scripts, which run from a copied checkout.
 
-What they would do to the system is played by small shell scripts.
+What they would do to the system is done by stubs, small shell scripts.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from time import monotonic, sleep
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
-# What the scripts may use as it is; everything else they find is played, or is not there.
+# What the scripts may use as it is; everything else that they find is a stub, or does not exist.
 REAL_TOOLS = (
     "awk basename bash cat chmod cp cut dirname echo env find flock grep head mkdir mktemp mv "
     "printf realpath rm sed sh sha256sum sleep sync tail tee timeout touch tr true"
 ).split()
 
 # By default: root on Debian, with space and network, without FEniCSx. $CALLS records all calls.
-PLAYED = {
+STUBS = {
     "python3": "echo 'it has no dolfinx' >&2; exit 1",
     "id": "echo 0",
     "df": "echo Avail; echo 99999999",
@@ -68,7 +68,7 @@ class Machine:
     """A checkout, a home and a PATH, all below `folder`."""
 
     def __init__(self, folder: Path) -> None:
-        """Copy the scripts, link the real tools and write the played ones."""
+        """Copy the scripts, link the real tools and write the stubs."""
         self.folder = folder
         self.checkout = folder / "check out"  # the blank has to survive all quoting
         self.bin = folder / "bin"
@@ -79,10 +79,10 @@ class Machine:
             found = shutil.which(tool)
             assert found is not None, f"these tests need the program {tool}"
             (self.bin / tool).symlink_to(found)
-        for tool, body in PLAYED.items():
-            self.play(tool, body)
+        for tool, body in STUBS.items():
+            self.stub(tool, body)
 
-    def play(self, tool: str, body: str | None) -> None:
+    def stub(self, tool: str, body: str | None) -> None:
         """Replace a program by the lines of a shell script, or take it away."""
         path = self.bin / tool
         path.unlink(missing_ok=True)
@@ -91,7 +91,7 @@ class Machine:
             path.chmod(0o755)
 
     def calls(self, tool: str) -> list[str]:
-        """The calls of a played program so far."""
+        """Return the calls of a stub so far."""
         log = self.folder / "calls"
         lines = log.read_text().splitlines() if log.exists() else []
         return [line for line in lines if line.split()[0] == tool]

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import numpy as np
-from collective import COMM
+from collective import COMM, logged_messages
 from problems import Cell
 
 import dolfinx
@@ -97,6 +97,6 @@ class Strip:
         self.problem.solve()
 
 
-def told(caplog):
+def volume_warnings(caplog):
     """Return the warnings of det F, which are logged on the first process."""
-    return COMM.bcast([text for text in caplog.messages if "det F is" in text])
+    return [text for text in logged_messages(caplog) if "det F is" in text]

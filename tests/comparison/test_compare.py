@@ -104,9 +104,9 @@ def test_solvers_agree_in_the_complement_of_a_null_space(create):
     all_agree(compare(problem, solvers=("feti", "mumps", "gamg")), ("feti", "mumps", "gamg"))
 
 
-def test_problem_goes_on_after_a_comparison(solve):
+def test_problem_goes_on_after_a_comparison(solve_linear):
     """Its own solver is another one; the solution is as it was."""
-    problem = solve(elasticity(cube(3, 3)), 4, {"ksp_rtol": RTOL})
+    problem = solve_linear(elasticity(cube(3, 3)), 4, {"ksp_rtol": RTOL})
     before = problem.u.x.array.copy()
     compare(problem, ["gamg"])
     equal(problem.u.x.array, before)

@@ -45,7 +45,7 @@ def difference(u, expected):
     ("degree", "pc_type"),
     [(1, "dirichlet"), (1, "lumped"), (1, "identity"), (2, "dirichlet"), (2, "lumped")],
 )
-def test_all_options(kind, degree, pc_type, feti):
+def test_all_options(kind, degree, pc_type, create_ksp):
     """Elasticity on tetrahedra with every scaling and weight of the projection."""
     problem = elasticity(cube(3, 2), degree=degree, stretched=True)
     linear = torn(problem, 6, "set_up_")
@@ -57,18 +57,18 @@ def test_all_options(kind, degree, pc_type, feti):
     ):
         options = {"type": kind, "pc_type": pc_type, "scaling": scaling, "coarse_q": q}
         names = {f"feti_{name}": value for name, value in options.items()}
-        ksp = feti(linear.A, ksp_rtol=1e-10, **names)
+        ksp = create_ksp(linear.A, ksp_rtol=1e-10, **names)
         ksp.solve(linear.b, x)
         agree(ksp.getConvergedReason() > 0, (options, ksp.getPythonContext().message))
         agree(difference(x.array_r, expected) < TOLERANCE, options)
     x.destroy()
 
 
-def with_form(problem, form):
+def with_form(problem, create_primal):
     """Add a form of u and v to the matrix of a problem."""
     u = ufl.TrialFunction(problem.V)
     v = ufl.TestFunction(problem.V)
-    return replace(problem, a=problem.a + form(u, v))
+    return replace(problem, a=problem.a + create_primal(u, v))
 
 
 def carried(u, v):
@@ -99,9 +99,9 @@ PROBLEMS = {
 
 @every_type
 @each("create", PROBLEMS)
-def test_problems(create, kind, solve):
+def test_problems(create, kind, solve_linear):
     problem = create()
-    linear = solve(problem, 7, {"feti_type": kind, "ksp_rtol": 1e-10})
+    linear = solve_linear(problem, 7, {"feti_type": kind, "ksp_rtol": 1e-10})
     small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
     context = linear.solver.getPythonContext()
     small(context.residual, 1e-10)
@@ -132,11 +132,11 @@ ELEMENTS = {
 
 @every_formulation
 @each(("create", "mesh", "element", "stretched"), ELEMENTS)
-def test_elements_other_than_lagrange(create, mesh, element, stretched, formulation, solve):
+def test_elements_other_than_lagrange(create, mesh, element, stretched, formulation, solve_linear):
     """Both forms; where there are bubbles of cells, these belong to the interior."""
     mesh = cube(*mesh)
     problem = create(mesh, element=element(mesh), stretched=stretched)
-    linear = solve(problem, 7, {"feti_formulation": formulation, "ksp_rtol": 1e-10})
+    linear = solve_linear(problem, 7, {"feti_formulation": formulation, "ksp_rtol": 1e-10})
     small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
     form = linear.solver.getPythonContext().formulation
     layout = problem.V.dofmap.dof_layout
@@ -150,14 +150,14 @@ def test_elements_other_than_lagrange(create, mesh, element, stretched, formulat
 
 @every_formulation
 @pytest.mark.parametrize("dim", [2, 3])
-def test_what_moves_with_moments_as_dofs(dim, formulation, solve):
+def test_what_moves_with_moments_as_dofs(dim, formulation, solve_linear):
     """The message counts the motions, of which some dofs have no value at a point."""
     mesh = cube(dim, 2, Cell.quadrilateral if dim == 2 else Cell.hexahedron)
     free = elasticity(mesh, element=serendipity(mesh), clamped=None)
     rolls = replace(free, bcs=[dirichlet(free.V, left, component=0)])
     what = "1 translation" if dim == 2 else "2 translations and 1 rotation"
     with raises(ConvergenceError, what):
-        solve(rolls, 4, {"feti_formulation": formulation})
+        solve_linear(rolls, 4, {"feti_formulation": formulation})
 
 
 def test_second_solve_sees_new_coefficients_and_values():
@@ -190,7 +190,7 @@ DECOMPOSED = {
 
 @each(("create", "mesh", "options"), DECOMPOSED)
 @every_type
-def test_solution_does_not_depend_on_the_decomposition(create, mesh, options, kind, solve):
+def test_solution_does_not_depend_on_the_decomposition(create, mesh, options, kind, solve_linear):
     """1, 4 and 64 subdomains, against a direct solve of the whole problem on each process."""
     alone = create(cube(*mesh, comm=MPI.COMM_SELF), **options)
     u = dolfinx.fem.Function(alone.V)
@@ -198,7 +198,7 @@ def test_solution_does_not_depend_on_the_decomposition(create, mesh, options, ki
     expected = by_place(u)
     together = create(cube(*mesh), **options)
     for subdomains in (1, 4, 64):
-        linear = solve(together, subdomains, {"feti_type": kind, "ksp_rtol": 1e-11})
+        linear = solve_linear(together, subdomains, {"feti_type": kind, "ksp_rtol": 1e-11})
         equal(by_place(linear.u), expected, 1e-8)
         report = linear.solver.getPythonContext().report()
         agree(report.subdomains >= max(subdomains, COMM.size))
@@ -213,7 +213,7 @@ def test_process_alone_solves_its_own_problem():
     agree(linear.solver.getPythonContext().report().subdomains == 3 + COMM.rank)
 
 
-def test_same_solution_at_the_default_tolerance(solve):
+def test_same_solution_at_the_default_tolerance(solve_linear):
     """The assembled residual is the judge: all choices end within the same error."""
     problem = elasticity(cube(2, 8), stretched=True)
     expected = whole(problem.solve_directly())
@@ -223,7 +223,7 @@ def test_same_solution_at_the_default_tolerance(solve):
         {"feti_pc_type": "identity", "feti_coarse_q": "identity"},
         {"feti_dual_ksp_type": "gmres"},
     ):
-        linear = solve(problem, 8, options)
+        linear = solve_linear(problem, 8, options)
         agree(linear.solver.getPythonContext().residual <= 1e-8)
         equal(whole(owned(linear.u)), expected, 1e-6)
 
@@ -238,8 +238,8 @@ every_mesh = each("mesh", MESHES)
 every_equation = pytest.mark.parametrize("create", [poisson, elasticity])
 
 
-def check(problem, part, kind, solve, **options):
-    linear = solve(problem, part, {"feti_type": kind, "ksp_rtol": 1e-11, **options})
+def check(problem, part, kind, solve_linear, **options):
+    linear = solve_linear(problem, part, {"feti_type": kind, "ksp_rtol": 1e-11, **options})
     small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
     return linear.solver.getPythonContext().report()
 
@@ -271,10 +271,10 @@ def rings(problem, rng):
 @every_type
 @every_equation
 @pytest.mark.parametrize(("parts", "seed"), [(ragged, 83), (ragged, 1291), (singles, 0)])
-def test_any_parts(mesh, kind, create, parts, seed, solve):
+def test_any_parts(mesh, kind, create, parts, seed, solve_linear):
     problem = create(cube(*mesh))
     part = parts(problem, np.random.default_rng(seed + COMM.rank))
-    report = check(problem, part, kind, solve)
+    report = check(problem, part, kind, solve_linear)
     agree(report.subdomains >= 2)
     if parts is singles:
         agree(report.subdomains == COMM.allreduce(problem.cells))
@@ -293,16 +293,16 @@ def test_any_parts(mesh, kind, create, parts, seed, solve):
         (rings, (2, 7, Cell.quadrilateral), 1, "dirichlet", "preconditioner"),
     ],
 )
-def test_other_parts_and_options(kind, parts, mesh, degree, pc_type, q, solve):
+def test_other_parts_and_options(kind, parts, mesh, degree, pc_type, q, solve_linear):
     problem = elasticity(cube(*mesh), degree=degree, stretched=True)
     part = parts(problem, np.random.default_rng(40099 + COMM.rank))
-    check(problem, part, kind, solve, feti_pc_type=pc_type, feti_coarse_q=q)
+    check(problem, part, kind, solve_linear, feti_pc_type=pc_type, feti_coarse_q=q)
 
 
 @every_mesh
 @every_type
 @pytest.mark.parametrize("seed", [83, 1291, 40099])
-def test_random_dirichlet_conditions(mesh, kind, seed, solve):
+def test_random_dirichlet_conditions(mesh, kind, seed, solve_linear):
     """Single components of single nodes with random values, on top of one that holds the body."""
     problem = elasticity(cube(*mesh))
     bcs = list(problem.bcs)
@@ -317,4 +317,4 @@ def test_random_dirichlet_conditions(mesh, kind, seed, solve):
         dofs = dolfinx.fem.locate_dofs_geometrical((part, g.function_space), lottery)
         bcs.append(dolfinx.fem.dirichletbc(g, dofs, part))
     rng = np.random.default_rng(seed + 7 * COMM.rank)
-    check(replace(problem, bcs=bcs), rng.integers(0, 5, problem.cells), kind, solve)
+    check(replace(problem, bcs=bcs), rng.integers(0, 5, problem.cells), kind, solve_linear)

@@ -64,13 +64,13 @@ def failed(ksp, reason, *words):
 @every_type
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("where", ["diagonal", "everywhere"])
-def test_nan_in_the_matrix(where, value, kind, torn_grid, feti):
+def test_nan_in_the_matrix(where, value, kind, torn_grid, create_ksp):
     def change(K, dofs):
         rows = len(K[1]) // 2 if where == "diagonal" else slice(None)
         K[1][rows, rows] = value
 
     problem = torn_grid(change=change, **GRID)
-    ksp = feti(problem.A, feti_type=kind)
+    ksp = create_ksp(problem.A, feti_type=kind)
     attempt(ksp, problem)
     failed(ksp, Reason.DIVERGED_PCSETUP_FAILED, "NaN")
 
@@ -78,10 +78,10 @@ def test_nan_in_the_matrix(where, value, kind, torn_grid, feti):
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("on_boundary", [False, True])
 @cg_and_gmres
-def test_nan_in_the_load(value, on_boundary, options, torn_grid, feti):
+def test_nan_in_the_load(value, on_boundary, options, torn_grid, create_ksp):
     """The solver works again afterwards."""
     problem = torn_grid(**GRID)
-    ksp = feti(problem.A, **options)
+    ksp = create_ksp(problem.A, **options)
     values = np.ones(len(problem.dirichlet))
     values[np.flatnonzero(problem.dirichlet == on_boundary)[3]] = value
     attempt(ksp, problem, values)
@@ -93,10 +93,10 @@ def test_nan_in_the_load(value, on_boundary, options, torn_grid, feti):
 
 
 @cg_and_gmres
-def test_maximum_of_iterations(options, torn_grid, feti, caplog):
+def test_maximum_of_iterations(options, torn_grid, create_ksp, caplog):
     """It is logged once."""
     problem = torn_grid(**GRID)
-    ksp = feti(problem.A, ksp_max_it=3, **options)
+    ksp = create_ksp(problem.A, ksp_max_it=3, **options)
     with caplog.at_level(logging.WARNING, "dolfinx_feti"):
         attempt(ksp, problem)
     failed(ksp, Reason.DIVERGED_MAX_IT, "-test_ksp_max_it")
@@ -121,10 +121,10 @@ def shares(problem, values, x):
     [{}, {"feti_formulation": "primal"}, {"feti_dual_ksp_type": "gmres", "feti_type": "classical"}],
     ids=["dual", "primal", "gmres"],
 )
-def test_tolerance_out_of_reach_ends_at_rounding(options, torn_grid, feti):
+def test_tolerance_out_of_reach_ends_at_rounding(options, torn_grid, create_ksp):
     """Refinement does not reach a residual below rounding; the message has the one reached."""
     problem = torn_grid(**GRID)
-    ksp = feti(problem.A, ksp_rtol=0.0, ksp_atol=0.0, **options)
+    ksp = create_ksp(problem.A, ksp_rtol=0.0, ksp_atol=0.0, **options)
     values = random_values(problem, SEED)
     context, x = attempt(ksp, problem, values)
     agree(ksp.getConvergedReason() == Reason.CONVERGED_HAPPY_BREAKDOWN and context.message == "")
@@ -138,12 +138,12 @@ def test_tolerance_out_of_reach_ends_at_rounding(options, torn_grid, feti):
 
 
 @pytest.mark.parametrize("rtol", [1e-15, 1e-20])
-def test_residual_above_rounding_is_not_converged(rtol, torn_grid, feti, monkeypatch):
+def test_residual_above_rounding_is_not_converged(rtol, torn_grid, create_ksp, monkeypatch):
     """A Krylov method that ends far above its tolerance, on purpose, and no fresh start."""
     monkeypatch.setattr("dolfinx_feti.feti.outer_loop.TARGET_FACTOR", 1e-11 / rtol)
     monkeypatch.setattr("dolfinx_feti.feti.outer_loop.MAX_FRESH_STARTS", 0)
     problem = torn_grid(**GRID)
-    ksp = feti(problem.A, ksp_rtol=rtol)
+    ksp = create_ksp(problem.A, ksp_rtol=rtol)
     values = random_values(problem, SEED)
     context, x = attempt(ksp, problem, values)
     residual, floor = shares(problem, values, x)
@@ -151,11 +151,11 @@ def test_residual_above_rounding_is_not_converged(rtol, torn_grid, feti, monkeyp
     failed(ksp, Reason.DIVERGED_BREAKDOWN, "stagnates", f"{context.residual:.2e}")
 
 
-def test_rounding_that_leaves_a_doubt_is_a_failure(torn_grid, feti, monkeypatch):
+def test_rounding_that_leaves_a_doubt_is_a_failure(torn_grid, create_ksp, monkeypatch):
     """Here of every solution that rounding touches."""
     monkeypatch.setattr("dolfinx_feti.feti.converged_reason.MAX_ROUNDING_SHARE", 1e-20)
     problem = torn_grid(**GRID)
-    ksp = feti(problem.A, ksp_rtol=1e-20)
+    ksp = create_ksp(problem.A, ksp_rtol=1e-20)
     context, _ = attempt(ksp, problem)
     failed(ksp, Reason.DIVERGED_BREAKDOWN, "rounding alone", "κ", f"{context.floor:.0e} ‖b‖")
 
@@ -175,19 +175,21 @@ INDEFINITE = {
 
 @every_type
 @each(("change", "options", "remedy"), INDEFINITE)
-def test_negative_curvature(change, options, remedy, kind, torn_grid, feti, cautious):
+def test_negative_curvature(
+    change, options, remedy, kind, torn_grid, create_ksp, stops_at_negative_curvature
+):
     """An indefinite assembled matrix, and CG asked for; left alone, GMRES solves it.
 
     The remedy has an effect on the form in force.
     """
     problem = torn_grid(change=change, **GRID)
     agree(problem.negative > 0)
-    ksp = feti(problem.A, feti_type=kind, **options)
+    ksp = create_ksp(problem.A, feti_type=kind, **options)
     attempt(ksp, problem)
     indefinite = (Reason.DIVERGED_INDEFINITE_MAT, Reason.DIVERGED_INDEFINITE_PC)
     agree(ksp.getConvergedReason() in indefinite, ksp.getConvergedReason())
     agree(remedy in ksp.getPythonContext().message, ksp.getPythonContext().message)
-    solved(feti(problem.A, feti_type=kind, ksp_rtol=1e-10), problem, 1e-7)
+    solved(create_ksp(problem.A, feti_type=kind, ksp_rtol=1e-10), problem, 1e-7)
 
 
 @every_type
@@ -203,7 +205,7 @@ def test_negative_curvature(change, options, remedy, kind, torn_grid, feti, caut
         (ALONE, 0.2, 1),
     ],
 )
-def test_indefinite_matrix_is_refused(kind, interior, grid, share, least, torn_grid, feti):
+def test_indefinite_matrix_is_refused(kind, interior, grid, share, least, torn_grid, create_ksp):
     """Before the first iteration, and not where subdomains buckle alone.
 
     Without an interface all is interior, and FETI a direct solver that counts.
@@ -211,7 +213,7 @@ def test_indefinite_matrix_is_refused(kind, interior, grid, share, least, torn_g
     problem = torn_grid(change=softened(share), **grid)
     agree(problem.negative >= least and (problem.negative > 0) == (least > 0))
     options = {"feti_type": kind, "feti_interior": interior, "feti_deflation": 0}
-    ksp = feti(problem.A, FETI(refuse_indefinite=True), **options)
+    ksp = create_ksp(problem.A, FETI(refuse_indefinite=True), **options)
     context = ksp.getPythonContext()
     agree(context.inertia.assembled == problem.negative, context.inertia)
     agree((context.inertia.dual > 0) == (share > 0.0) or grid is ALONE)
@@ -226,12 +228,12 @@ def test_indefinite_matrix_is_refused(kind, interior, grid, share, least, torn_g
 @every_type
 @every_interior
 @pytest.mark.parametrize("share", [0.0, 0.002, 0.004, 0.01, 0.05, 0.2])
-def test_what_is_proved_is_there(kind, interior, share, torn_grid, parts):
+def test_what_is_proved_is_there(kind, interior, share, torn_grid, create_dual):
     """Never more negative eigenvalues than A has, and some wherever it has many."""
     problem = torn_grid(change=softened(share), **WIDE)
     there = problem.negative
     for pc_type in ("dirichlet", "lumped", "identity"):
-        system = parts(problem.A, type=kind, interior=interior, pc_type=pc_type)
+        system = create_dual(problem.A, type=kind, interior=interior, pc_type=pc_type)
         proved = system.inertia.assembled
         if proved is None:  # K_II is factored for the Dirichlet preconditioner, or eliminated
             agree(interior == "keep" and pc_type != "dirichlet" and share > 0.0)
@@ -293,7 +295,7 @@ def test_no_remedy_is_in_force(reason, floor, method):
     agree(all(texts) and "feti_stagnation" not in " ".join(texts))
 
 
-def test_advice_that_is_followed_is_not_repeated(torn_grid, feti, monkeypatch):
+def test_advice_that_is_followed_is_not_repeated(torn_grid, create_ksp, monkeypatch):
     """Three iterations that bring nothing end a solve; options are worse than the defaults."""
     problem = torn_grid(stiffness=lambda i: 1e6 ** (i % 2), **MANY)
     options = {"pc_type": "identity", "scaling": "multiplicity", "coarse_q": "identity"}
@@ -302,7 +304,7 @@ def test_advice_that_is_followed_is_not_repeated(torn_grid, feti, monkeypatch):
     monkeypatch.setattr("dolfinx_feti.feti.dual.krylov.STAGNATION_ITERATIONS", 3)
     monkeypatch.setattr("dolfinx_feti.feti.outer_loop.MAX_FRESH_STARTS", 0)
     while not said or (said[-1] and len(said) < 4):
-        ksp = feti(problem.A, **{f"feti_{name}": value for name, value in options.items()})
+        ksp = create_ksp(problem.A, **{f"feti_{name}": value for name, value in options.items()})
         solve(ksp, problem, random_values(problem))
         said.append(ksp.getPythonContext().message)
         if len(said) == 1:
@@ -316,13 +318,15 @@ def test_advice_that_is_followed_is_not_repeated(torn_grid, feti, monkeypatch):
 
 
 @pytest.mark.parametrize("pc_type", ["dirichlet", "lumped"])
-def test_dual_solve_that_takes_too_long_names_the_primal_formulation(pc_type, torn_grid, feti):
+def test_dual_solve_that_takes_too_long_names_the_primal_formulation(
+    pc_type, torn_grid, create_ksp
+):
     """And the preconditioner that goes with it; followed, it solves."""
     problem = torn_grid(stiffness=lambda i: 1e6 ** (i % 2), **MANY)
     options = {"formulation": "dual", "pc_type": pc_type, "coarse_q": "identity"}
     for most in (2, 10_000):
         own = {f"feti_{name}": value for name, value in options.items()}
-        ksp = feti(problem.A, ksp_max_it=most, **own)
+        ksp = create_ksp(problem.A, ksp_max_it=most, **own)
         attempt(ksp, problem)
         said = ksp.getPythonContext().message
         new = dict(recommended(said))
@@ -344,10 +348,10 @@ UNFIT = [
 
 
 @pytest.mark.parametrize("options", UNFIT, ids=lambda options: " ".join(options.values()))
-def test_unsymmetric_matrix_is_solved_as_its_message_says(options, torn_grid, feti):
+def test_unsymmetric_matrix_is_solved_as_its_message_says(options, torn_grid, create_ksp):
     problem = torn_grid(change=unsymmetric(0.02), **MANY)
     for _ in range(2):
-        ksp = feti(problem.A, **{f"feti_{name}": value for name, value in options.items()})
+        ksp = create_ksp(problem.A, **{f"feti_{name}": value for name, value in options.items()})
         reason, _ = solve(ksp, problem, random_values(problem))
         said = ksp.getPythonContext().message
         agree((reason > 0) == (options.get("formulation") == "primal" or said == ""), said)

@@ -204,10 +204,10 @@ def solved(ksp, problem, b):
     equal(x, expected, CONDITION * RTOL)
 
 
-def test_neighbours_joined_are_refused(torn_grid, feti):
+def test_neighbours_joined_are_refused(torn_grid, create_ksp):
     """Two subdomains on each process, neighbours on it; on one process they are all there are."""
     problem = torn_grid((2 * COMM.size, 1), (2, 2))
-    ksp = feti(problem.A, ksp_rtol=RTOL)
+    ksp = create_ksp(problem.A, ksp_rtol=RTOL)
     PATTERN["two subdomains joined"](problem)
     agree(holds_two_copies(problem))
     solved(ksp, problem, random_values(problem))
@@ -215,8 +215,8 @@ def test_neighbours_joined_are_refused(torn_grid, feti):
 
 @pytest.mark.parametrize("options", OPTIONS, ids=" ".join)
 @pytest.mark.parametrize("name", CHANGES)
-def test_next_solve_sees(name, options, problem, feti):
-    ksp = feti(problem.A, ksp_rtol=RTOL, **options)
+def test_next_solve_sees(name, options, problem, create_ksp):
+    ksp = create_ksp(problem.A, ksp_rtol=RTOL, **options)
     b = random_values(problem)
     solved(ksp, problem, b)
     before = version_of(problem.A)
@@ -230,8 +230,8 @@ def test_next_solve_sees(name, options, problem, feti):
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=" ".join)
-def test_one_change_after_the_other(options, problem, feti):
-    ksp = feti(problem.A, ksp_rtol=RTOL, **options)
+def test_one_change_after_the_other(options, problem, create_ksp):
+    ksp = create_ksp(problem.A, ksp_rtol=RTOL, **options)
     b = random_values(problem)
     for change in CHANGES.values():
         change(problem)
@@ -245,10 +245,10 @@ WITHOUT = {
 
 
 @each(("take", "words"), WITHOUT)
-def test_what_goes_is_missed(take, words, torn_grid, feti):
+def test_what_goes_is_missed(take, words, torn_grid, create_ksp):
     """The message names the remedy; with the same objects back there is a solution again."""
     problem = torn_grid((2, 2), (2, 2), components=2)
-    ksp = feti(problem.A, ksp_rtol=RTOL)
+    ksp = create_ksp(problem.A, ksp_rtol=RTOL)
     b = random_values(problem)
     solved(ksp, problem, b)
     held = problem.A.query("dirichlet")
@@ -262,10 +262,10 @@ def test_what_goes_is_missed(take, words, torn_grid, feti):
     solved(ksp, problem, b)
 
 
-def test_unblocked_local_matrix(torn_grid, feti):
+def test_unblocked_local_matrix(torn_grid, create_ksp):
     """Two components, and a local matrix that does not know of them."""
     problem = torn_grid((2, 2), (2, 2), components=2)
-    ksp = feti(problem.A, ksp_rtol=RTOL)
+    ksp = create_ksp(problem.A, ksp_rtol=RTOL)
     b = random_values(problem)
     solved(ksp, problem, b)
     csr = problem.local.getValuesCSR()
@@ -274,9 +274,9 @@ def test_unblocked_local_matrix(torn_grid, feti):
     solved(ksp, problem, b)
 
 
-def test_another_matrix(problem, torn_grid, feti):
+def test_another_matrix(problem, torn_grid, create_ksp):
     """As many dofs in other subdomains."""
-    ksp = feti(problem.A, ksp_rtol=RTOL)
+    ksp = create_ksp(problem.A, ksp_rtol=RTOL)
     solved(ksp, problem, random_values(problem))
     other = torn_grid((2, 1), (6, 2))
     ksp.setOperators(other.A)
@@ -288,10 +288,10 @@ def test_another_matrix(problem, torn_grid, feti):
 # -- the version
 
 
-def test_version_stays_where_nothing_changes(problem, feti):
+def test_version_stays_where_nothing_changes(problem, create_ksp):
     """It can be hashed, and neither a solve nor a look at the matrix changes it."""
     before = version_of(problem.A)
-    reason, _ = solve(feti(problem.A, ksp_rtol=RTOL), problem, random_values(problem))
+    reason, _ = solve(create_ksp(problem.A, ksp_rtol=RTOL), problem, random_values(problem))
     agree(reason > 0)
     problem.A.getISLocalMat().getValuesCSR()
     problem.A.getNearNullSpace().getVecs()[0].norm()

@@ -50,14 +50,14 @@ def test_type_from_the_command_line(torn_grid, lifetime):
 
 @every_formulation
 @pytest.mark.parametrize("everywhere", [True, False])
-def test_monitor_and_history(everywhere, formulation, torn_grid, feti):
+def test_monitor_and_history(everywhere, formulation, torn_grid, create_ksp):
     """The norm of the assembled residual at the start and after each iteration.
 
     As after ``if comm.rank == 0: ksp.setMonitor(…)``, too: it sees all iterations, and none waits.
     """
     problem = torn_grid(**GRID)
     seen = []
-    ksp = feti(problem.A, feti_coarse_q="identity", feti_formulation=formulation)
+    ksp = create_ksp(problem.A, feti_coarse_q="identity", feti_formulation=formulation)
     if everywhere or COMM.rank == 0:
         ksp.setMonitor(lambda ksp, its, rnorm: seen.append((its, rnorm)))
     ksp.setConvergenceHistory(length=100)
@@ -72,10 +72,10 @@ def test_monitor_and_history(everywhere, formulation, torn_grid, feti):
 
 
 @pytest.mark.parametrize("everywhere", [True, False])
-def test_convergence_test_is_refused(everywhere, torn_grid, feti, lifetime):
+def test_convergence_test_is_refused(everywhere, torn_grid, create_ksp, lifetime):
     """FETI would never call it; the error is raised on all processes, wherever it was set."""
     problem = torn_grid((2,), (2,))
-    ksp = feti(problem.A)
+    ksp = create_ksp(problem.A)
     if everywhere or COMM.rank == 0:
         ksp.setConvergenceTest(lambda ksp, its, rnorm: 1)
     x, b = map(lifetime.own, problem.A.createVecs())
@@ -103,12 +103,12 @@ def test_assembled_matrix(caplog, lifetime):
     agree(all(re.search(ways, text) for text in said), said)
 
 
-def test_monitor_of_gmres_knows_the_start(torn_grid, feti):
+def test_monitor_of_gmres_knows_the_start(torn_grid, create_ksp):
     """GMRES estimates the assembled residual; at the start it is measured."""
     problem = torn_grid(**GRID)
     seen = {}
     for method in ("cg", "gmres"):
-        ksp = feti(problem.A, feti_dual_ksp_type=method, feti_interior="keep")
+        ksp = create_ksp(problem.A, feti_dual_ksp_type=method, feti_interior="keep")
         ksp.setConvergenceHistory()
         solve(ksp, problem, random_values(problem))
         seen[method] = ksp.getConvergenceHistory()
@@ -116,7 +116,7 @@ def test_monitor_of_gmres_knows_the_start(torn_grid, feti):
     small(seen["gmres"][0] / seen["cg"][0] - 1.0, 1e-6)
 
 
-def test_view_and_report(torn_grid, feti, lifetime, tmp_path):
+def test_view_and_report(torn_grid, create_ksp, lifetime, tmp_path):
     problem = torn_grid((2, 2), (3, 3), components=2)
     path = tmp_path / "view"
 
@@ -128,7 +128,7 @@ def test_view_and_report(torn_grid, feti, lifetime, tmp_path):
 
     ksp = lifetime.own(PETSc.KSP().create(COMM))
     ksp.setType(PETSc.KSP.Type.PYTHON)
-    ksp.setPythonContext(feti(problem.A, feti_type="classical").getPythonContext())
+    ksp.setPythonContext(create_ksp(problem.A, feti_type="classical").getPythonContext())
     agree("python" in text(ksp))
     size = "coarse size           12,"
     for kind, formulation, expected in (
@@ -136,7 +136,7 @@ def test_view_and_report(torn_grid, feti, lifetime, tmp_path):
         ("all_floating", "primal", ["4 of dimension 3; 4 exact", "primal form", "primal system"]),
         ("all_floating", "dual", ["4 of dimension 3; 4 exact", "dual form", "dual system", size]),
     ):
-        ksp = feti(problem.A, feti_type=kind, feti_formulation=formulation)
+        ksp = create_ksp(problem.A, feti_type=kind, feti_formulation=formulation)
         solve(ksp, problem, random_values(problem))
         report = ksp.getPythonContext().report()
         expected += [kind, "dirichlet", f"{report.multipliers}", "MiB", "condition number"]
@@ -155,7 +155,7 @@ def test_view_and_report(torn_grid, feti, lifetime, tmp_path):
     ("formulation", "expected"),
     [("dual", [3, 5, 2, 3, 3, 2, 2]), ("primal", [3, 5, 4, 3, 3, 2, 2])],
 )
-def test_log_events(formulation, expected, torn_grid, feti):
+def test_log_events(formulation, expected, torn_grid, create_ksp):
     """-log_view counts the phases; the columns of the primal form outlast the coarse matrix."""
     PETSc.Log.begin()
     names = ("FETIGluing", "FETIFactor", "FETICoarse", "FETISolve", "FETIIterations")
@@ -166,7 +166,7 @@ def test_log_events(formulation, expected, torn_grid, feti):
 
     before = counts()
     problem = torn_grid((2, 2), (2, 2))
-    ksp = feti(problem.A, feti_formulation=formulation)
+    ksp = create_ksp(problem.A, feti_formulation=formulation)
     solve(ksp, problem, random_values(problem))
     solve(ksp, problem, random_values(problem, SEED + 4))
     problem.local.scale(2.0)
@@ -176,20 +176,20 @@ def test_log_events(formulation, expected, torn_grid, feti):
     agree(found[7:].min() > 0, found)
 
 
-def test_no_load_needs_no_iteration(torn_grid, feti):
+def test_no_load_needs_no_iteration(torn_grid, create_ksp):
     """Nor is there a load where a rigid motion of the whole boundary is the solution."""
     problem = torn_grid((2, 2), (2, 2), components=2)
-    ksp = feti(problem.A)
+    ksp = create_ksp(problem.A)
     context = solved(ksp, problem, 0.0, values=np.zeros(len(problem.dirichlet)))
     agree(context.iterations == 0 == ksp.getIterationNumber())
     motion = problem.modes @ np.array([0.5, 2.0, -0.1])
     solved(ksp, problem, values=np.where(problem.dirichlet, motion, 0.0))
 
 
-def test_absolute_tolerance(torn_grid, feti):
+def test_absolute_tolerance(torn_grid, create_ksp):
     problem = torn_grid((2, 2), (3, 3), components=2)
     values = random_values(problem)
-    ksp = feti(problem.A, ksp_rtol=1e-14, ksp_atol=1e-3, feti_coarse_q="identity")
+    ksp = create_ksp(problem.A, ksp_rtol=1e-14, ksp_atol=1e-3, feti_coarse_q="identity")
     reason, x = solve(ksp, problem, values)
     residual = np.linalg.norm((values - problem.matrix @ x)[~problem.dirichlet])
     agree(reason > 0 and 1e-9 < residual <= 1e-3, residual)
@@ -206,9 +206,9 @@ OPTIONS = [
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=str)
-def test_krylov_methods_and_subsolvers_by_prefix(options, torn_grid, feti):
+def test_krylov_methods_and_subsolvers_by_prefix(options, torn_grid, create_ksp):
     problem = torn_grid((3, 2), (3, 3), components=2)
-    context = solved(feti(problem.A, ksp_rtol=1e-10, **options), problem)
+    context = solved(create_ksp(problem.A, ksp_rtol=1e-10, **options), problem)
     agree(context.method == options.get("feti_dual_ksp_type", "cg"))
 
 
@@ -221,12 +221,12 @@ TRANSPOSED = [
 
 
 @pytest.mark.parametrize("options", TRANSPOSED)
-def test_transposed_solve_of_a_symmetric_matrix(options, torn_grid, feti, lifetime):
+def test_transposed_solve_of_a_symmetric_matrix(options, torn_grid, create_ksp, lifetime):
     """It is a solve: first, after another one, and after the matrix has changed."""
     problem = torn_grid((3, 2), (3, 3))
     b, x, y = (lifetime.own(problem.A.createVecRight()) for _ in range(3))
     b.array[:] = np.arange(1.0, len(b.array_r) + 1.0)
-    ksp = feti(problem.A, ksp_rtol=1e-10, **options)
+    ksp = create_ksp(problem.A, ksp_rtol=1e-10, **options)
     ksp.solveTranspose(b, x)
     agree(ksp.getConvergedReason() > 0, ksp.getConvergedReason())
     ksp.solve(b, y)
@@ -279,10 +279,10 @@ def test_assembled_matrices_are_refused(torn_grid, lifetime):
         context.setUp(ksp)
 
 
-def test_symmetry_is_looked_at_after_a_failed_set_up(torn_grid, feti, lifetime):
+def test_symmetry_is_looked_at_after_a_failed_set_up(torn_grid, create_ksp, lifetime):
     """NaN, and then a matrix that is not symmetric any more."""
     problem = torn_grid((2, 2), (3, 3))
-    ksp = feti(problem.A, ksp_rtol=1e-10)
+    ksp = create_ksp(problem.A, ksp_rtol=1e-10)
     values = random_values(problem)
     solve(ksp, problem, values)
     keep = lifetime.own(problem.local.copy())
@@ -318,11 +318,13 @@ def test_a_tolerance_set_by_hand_stays(before, torn_grid, lifetime):
     agree(ksp.getTolerances()[0] == (1e-6 if before else 1e-5), ksp.getTolerances())
 
 
-def test_the_users_monitor_of_the_dual_method_stays(torn_grid, feti, tmp_path):
+def test_the_users_monitor_of_the_dual_method_stays(torn_grid, create_ksp, tmp_path):
     """It sees every solve, also where the user's own tolerance decides."""
     problem = torn_grid(**GRID)
     file = tmp_path / "monitor"
-    ksp = feti(problem.A, feti_dual_ksp_rtol=1e-6, feti_dual_ksp_monitor=f"ascii:{file}::append")
+    ksp = create_ksp(
+        problem.A, feti_dual_ksp_rtol=1e-6, feti_dual_ksp_monitor=f"ascii:{file}::append"
+    )
     counts = []
     for seed in (1, 2):
         solve(ksp, problem, random_values(problem, seed))
@@ -331,20 +333,20 @@ def test_the_users_monitor_of_the_dual_method_stays(torn_grid, feti, tmp_path):
     agree(0 < counts[0] < counts[1], counts)
 
 
-def test_the_outer_limit_of_iterations_holds_with_a_dual_tolerance(torn_grid, feti):
+def test_the_outer_limit_of_iterations_holds_with_a_dual_tolerance(torn_grid, create_ksp):
     problem = torn_grid(**GRID)
-    ksp = feti(problem.A, feti_dual_ksp_rtol=1e-12, ksp_max_it=3, feti_coarse_q="identity")
+    ksp = create_ksp(problem.A, feti_dual_ksp_rtol=1e-12, ksp_max_it=3, feti_coarse_q="identity")
     reason, _ = solve(ksp, problem, random_values(problem))
     agree(reason == Reason.DIVERGED_MAX_IT and ksp.getIterationNumber() == 3, reason)
 
 
 @pytest.mark.parametrize("scale", [1e-8, 1.0, 1e8])
-def test_minres_is_judged_by_its_own_norm(scale, torn_grid, feti):
+def test_minres_is_judged_by_its_own_norm(scale, torn_grid, create_ksp):
     """It is the preconditioned one: it says nothing about whether the jump is what it should be."""
     problem = torn_grid(stiffness=lambda i: scale * 100.0 ** (i % 2), **GRID)
     counts = {}
     for method in ("cg", "minres"):
-        ksp = feti(problem.A, feti_dual_ksp_type=method, feti_scaling="multiplicity")
+        ksp = create_ksp(problem.A, feti_dual_ksp_type=method, feti_scaling="multiplicity")
         reason, _ = solve(ksp, problem, random_values(problem))
         agree(reason > 0, ksp.getPythonContext().message)
         counts[method] = ksp.getIterationNumber()
@@ -369,9 +371,9 @@ def printed(capfd):
 
 @pytest.mark.parametrize("value", [None, "ascii", True])
 @every_formulation
-def test_one_table_for_a_solver(value, formulation, solve, printed):
+def test_one_table_for_a_solver(value, formulation, solve_linear, printed):
     problem = elasticity(cube(2, 6))
-    linear = solve(problem, 4, {"ksp_view": value, "feti_formulation": formulation})
+    linear = solve_linear(problem, 4, {"ksp_view": value, "feti_formulation": formulation})
     first = printed()
     agree(first.count("KSP Object") == 1 and first.count("\n") <= 24, first)  # a screen
     agree(f"{formulation} form" in first and f" {COMM.size} MPI process" in first, first)
@@ -381,15 +383,15 @@ def test_one_table_for_a_solver(value, formulation, solve, printed):
     agree(printed().count("KSP Object") == 1, "another solver")
 
 
-def test_view_that_is_asked_for(solve, printed):
+def test_view_that_is_asked_for(solve_linear, printed):
     """At each solve, or by ``ksp.view()``, which always answers; and no other."""
     problem = poisson(cube(2, 6))
-    linear = solve(problem, 4, {"ksp_view": "::ascii_info_detail"})
+    linear = solve_linear(problem, 4, {"ksp_view": "::ascii_info_detail"})
     linear.solve()
     said = printed()
     agree(said.count("type: python") == 2 and said.count("multipliers") == 2, said)
     agree(said.count("Mat Object") >= 2, said)
-    linear = solve(problem, 4)
+    linear = solve_linear(problem, 4)
     agree(printed() == "")
     for _ in range(2):
         linear.solver.view()

@@ -39,13 +39,13 @@ def scale(problem, factors):
 
 
 @pytest.fixture
-def primal(torn_grid, feti):
+def primal(torn_grid, create_ksp):
     """Make a problem and a KSP in the primal form whose preconditioner lasts."""
 
     def create(*, newton=True, **options):
         problem = torn_grid(**GRID)
         given = {"feti_formulation": "primal", "ksp_rtol": 1e-11, **options}
-        return problem, feti(problem.A, FETI(newton=newton), **given)
+        return problem, create_ksp(problem.A, FETI(newton=newton), **given)
 
     return create
 
@@ -183,7 +183,9 @@ def test_indefinite_matrix_is_told(primal, caplog):
 
 
 @pytest.mark.parametrize("how", ["", "condensed", "fails"])
-def test_other_form_where_matrix_turns_indefinite(how, torn_grid, feti, monkeypatch, cautious):
+def test_other_form_where_matrix_turns_indefinite(
+    how, torn_grid, create_ksp, monkeypatch, cautious
+):
     """``auto`` switches to the dual formulation, with new factors in double precision.
 
     Where these fail, there is a reason and a message, and no exception out of the solve.
@@ -191,7 +193,7 @@ def test_other_form_where_matrix_turns_indefinite(how, torn_grid, feti, monkeypa
     problem = torn_grid(**GRID, change=push)
     if how == "condensed":
         set_condensed_pressures(problem.A, 3)
-    ksp = feti(problem.A, FETI(newton=True), ksp_rtol=1e-11)
+    ksp = create_ksp(problem.A, FETI(newton=True), ksp_rtol=1e-11)
     check(problem, ksp)
     agree(ksp.getPythonContext().report().formulation == "primal")
     scale(problem, [1.0, 1.0, -1.0, 1.0])

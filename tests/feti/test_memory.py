@@ -140,14 +140,14 @@ FORMS = {
 
 @pytest.mark.parametrize("null_space", [False, True])
 @each("options", FORMS)
-def test_nothing_waits_for_the_collector(options, null_space, torn_grid, feti):
+def test_nothing_waits_for_the_collector(options, null_space, torn_grid, create_ksp):
     """Near kernel, null space and matrix are replaced between solves; all owners end together."""
     grid = case((3, 2), (2, 2), **({"fixed": nowhere} if null_space else {}))
     if null_space:
         options = {**options, "feti_type": "all_floating"}
     first = torn_grid(**grid)
     PETSc.garbage_cleanup(first.A.comm)
-    ksp = feti(first.A, dolfinx_feti.FETI(newton=True), **options)
+    ksp = create_ksp(first.A, dolfinx_feti.FETI(newton=True), **options)
     for step in range(4):
         A = first.A if step < 2 else torn_grid(**grid).A
         if null_space:
@@ -173,7 +173,7 @@ def test_nothing_waits_for_the_collector(options, null_space, torn_grid, feti):
 
 
 @pytest.mark.parametrize("what", ["create", "solve", "refresh"])
-def test_memory_does_not_grow(what, torn_grid, feti):
+def test_memory_does_not_grow(what, torn_grid, create_ksp):
     """Less than a tenth of a MiB a round, where a system takes several.
 
     A leak grows in each of the windows; an arena or a cache that the allocator takes once, in one.

@@ -44,11 +44,11 @@ METHODS = {
 every_method = each("options", METHODS)
 
 
-def changed(free, form, *, add=True):
+def changed(free, create_primal, *, add=True):
     """Add a form of u and v to the matrix of a problem, or put it in its place."""
     u = ufl.TrialFunction(free.V)
     v = ufl.TestFunction(free.V)
-    return replace(free, a=form(u, v) * ufl.dx + (free.a if add else 0))
+    return replace(free, a=create_primal(u, v) * ufl.dx + (free.a if add else 0))
 
 
 def vectors_laplacian(mesh):
@@ -279,7 +279,9 @@ def opposed_springs(share, component, components):
 @every_formulation
 @pytest.mark.parametrize("share", [1e-6, 1e-2, 1.0])
 @pytest.mark.parametrize("components", [1, 2])
-def test_subdomains_that_resist_the_null_space(components, share, formulation, torn_grid, feti):
+def test_subdomains_that_resist_the_null_space(
+    components, share, formulation, torn_grid, create_ksp
+):
     """A Z = 0, but K_i Z ≠ 0: the primal form solves, and the dual one names it.
 
     With two components the other translation has no springs: a part of the null space is resisted.
@@ -292,7 +294,7 @@ def test_subdomains_that_resist_the_null_space(components, share, formulation, t
     A.setNullSpace(PETSc.NullSpace().create(vectors=vectors, comm=COMM))
     b = random_values(problem)
     b -= Z @ (Z.T @ b)
-    ksp = feti(A, feti_formulation=formulation, ksp_rtol=RTOL)
+    ksp = create_ksp(A, feti_formulation=formulation, ksp_rtol=RTOL)
     reason, x = solve(ksp, problem, b)
     message = ksp.getPythonContext().message
     if formulation == "dual":

@@ -9,7 +9,7 @@ import re
 from petsc4py import PETSc
 
 import pytest
-from collective import COMM, agree, equal, raises, whole
+from collective import COMM, agree, equal, logged_messages, raises, whole
 from problems import cube, elasticity, owned, poisson, torn
 
 import dolfinx
@@ -219,11 +219,6 @@ def test_problems_share_the_command_line_and_no_options():
 # -- options that nothing reads, and arguments that nobody takes
 
 
-def messages(caplog):
-    """Warnings of the first process, on all."""
-    return COMM.bcast([record.getMessage() for record in caplog.records])
-
-
 def diffusion(*, nonlinear, **options):
     body = poisson(cube(2, 5))
     common = {"bcs": body.bcs, "petsc_options_prefix": "unread_", "petsc_options": options}
@@ -261,7 +256,7 @@ def test_misspelt_options(name, nonlinear, way, caplog):
             problem.solve()
         problem.create_linear_solver().destroy()
         agree(PETSc.Options().getAll() == before)
-    (said,) = messages(caplog)
+    (said,) = logged_messages(caplog)
     agree(f"-unread_{name} 1e-3: did you mean -unread_{MISSPELT[name]}?" in said, said)
 
 
@@ -269,7 +264,7 @@ def test_option_unlike_all_others(caplog):
     """Of the argument it is certainly this problem's; of the command line it may be another's."""
     with inserted("unread_", {"other_thing": 1, "b_ksp_rtol": 1e-3}):
         diffusion(nonlinear=False, colour="red").solve()
-    (said,) = messages(caplog)
+    (said,) = logged_messages(caplog)
     agree("-unread_colour red: see docs/petsc_options.md" in said, said)
     agree("other_thing" not in said and "b_ksp_rtol" not in said, said)
 
@@ -287,7 +282,7 @@ def test_options_that_are_read(caplog, tmp_path):
     snes |= {"snes_rtol": 1e-9, "snes_max_it": 20, "snes_error_if_not_converged": True}
     for nonlinear in (False, True):
         diffusion(nonlinear=nonlinear, **given, **(snes if nonlinear else {})).solve()
-    agree(messages(caplog) == [], messages(caplog))
+    agree(logged_messages(caplog) == [], logged_messages(caplog))
 
 
 WITHOUT_EFFECT = ["snes_mf", "snes_fd", "snes_lag_jacobian", "snes_stol", "snes_npc_side"]
@@ -298,7 +293,7 @@ WITHOUT_EFFECT += ["ksp_initial_guess_nonzero", "ksp_norm_type", "ksp_divtol", "
 def test_options_that_petsc_reads_in_vain(name, caplog):
     value = {"snes_npc_side": "left", "ksp_norm_type": "none"}.get(name, 1)
     diffusion(nonlinear=True, **{name: value}).solve()
-    (said,) = messages(caplog)
+    (said,) = logged_messages(caplog)
     agree(f"Without effect: -unread_{name}" in said, said)
 
 
@@ -318,7 +313,7 @@ def test_misspelt_option_of_a_solver_alone(prefix, caplog, torn_grid, lifetime):
         b.set(1.0)
         for _ in range(2):
             ksp.solve(b, x)
-    said = [text for text in messages(caplog) if "nothing has read" in text]
+    said = [text for text in logged_messages(caplog) if "nothing has read" in text]
     agree(len(said) == 1, said)
     agree(f"-{prefix}ksp_rtoll 1e-3: did you mean -{prefix}ksp_rtol?" in said[0], said)
     agree(f"did you mean -{prefix}feti_dual_ksp_max_it?" in said[0], said)

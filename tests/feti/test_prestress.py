@@ -117,7 +117,7 @@ def test_rotations_turn_the_internal_forces(degree):
     torn.destroy()
 
 
-def test_kernel_is_exact_without_load_only(parts):
+def test_kernel_is_exact_without_load_only(create_dual):
     """D = 0 as long as K R = 0; under load the rotations leave the kernel, translations stay.
 
     Without the load's tangent, that is: it holds on to translations as well. The record and the
@@ -127,7 +127,7 @@ def test_kernel_is_exact_without_load_only(parts):
     problem = body.problem(4, {"feti_coarse_modes": 0, "feti_lag": 0})
     problem._system.residual()
     problem._system.linearise()
-    unloaded = parts(problem.A, coarse_modes=0)
+    unloaded = create_dual(problem.A, coarse_modes=0)
     agree(all(modes_of(unloaded).is_exact))
     small(max(np.abs(D).max() for D in modes_of(unloaded).D), 0.0)
     agree(unloaded.inertia.is_definite and unloaded.method == "cg")
@@ -136,7 +136,7 @@ def test_kernel_is_exact_without_load_only(parts):
     report = problem.solver.getKSP().getPythonContext().report()
     agree(report.inertia.dual == last.negative > 0)
     agree(report.exact == 0 and report.subdomains == COMM.allreduce(problem.decomposition.count))
-    loaded = parts(problem.A, coarse_modes=0)
+    loaded = create_dual(problem.A, coarse_modes=0)
     agree(not any(modes_of(loaded).is_exact))
     defects = list(zip(modes_of(loaded).D, modes_of(loaded).rho, strict=True))
     agree(all(1e-7 * ρ < np.abs(D).max() < ρ for D, ρ in defects))

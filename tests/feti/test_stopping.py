@@ -12,7 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from cases import case, every_formulation, every_type
-from collective import COMM, agree, equal, small, whole
+from collective import COMM, agree, equal, logged_messages, small, whole
 from hand_torn import random_values, solve, unsymmetric
 from penalty import (
     bar_mesh,
@@ -119,7 +119,7 @@ METHODS = {
 
 @every_type
 @pytest.mark.parametrize(("share", "options"), METHODS.values(), ids=METHODS)
-def test_penalty_by_hand(share, options, kind, torn_grid, feti):
+def test_penalty_by_hand(share, options, kind, torn_grid, create_ksp):
     """A thousand million times the stiffness on the diagonal of one end, by each method.
 
     Of an unsymmetric matrix a share of the entries is random.
@@ -137,7 +137,7 @@ def test_penalty_by_hand(share, options, kind, torn_grid, feti):
     problem = torn_grid(change=change, **case((3, 2), (3, 3), 2))
     values = random_values(problem)
     values[np.isin(np.arange(len(values)) // 2, ends)] *= k
-    ksp = feti(problem.A, feti_type=kind, **options)
+    ksp = create_ksp(problem.A, feti_type=kind, **options)
     reason, x = solve(ksp, problem, values)
     context = ksp.getPythonContext()
     agree(reason > 0, context.message)
@@ -278,7 +278,7 @@ def test_component_without_a_load_costs_nothing(stiff, formulation):
 
 @every_formulation
 @pytest.mark.parametrize("units", [1.0, 1e6], ids=["", "in small units"])
-def test_scalars(units, formulation, torn_grid, feti):
+def test_scalars(units, formulation, torn_grid, create_ksp):
     """Two scalars beside a penalty of 1e9 times the stiffness, each right relative to itself."""
     k = 1e9
     grid = case((3, 2), (3, 3), 2)
@@ -298,7 +298,7 @@ def test_scalars(units, formulation, torn_grid, feti):
     d = rng.standard_normal(2) * [1.0, units]
     rows = slice(*problem.A.getOwnershipRange())
     solver = BorderedSolver()
-    ksp = feti(problem.A, feti_formulation=formulation)
+    ksp = create_ksp(problem.A, feti_formulation=formulation)
     x, s = solver.solve(ksp, problem.A, b[rows], Border(B[rows], B[rows], np.zeros((2, 2))), d)
     context = ksp.getPythonContext()
     agree(ksp.getConvergedReason() > 0, context.message)
@@ -411,7 +411,7 @@ def test_rounding_is_told(ratio, formulation, caplog):
         except ConvergenceError:
             return
     feti = problem.solver.getPythonContext()
-    said = COMM.bcast([record.getMessage() for record in caplog.records])
+    said = logged_messages(caplog)
     told = bool(said) or feti.floor > 0.0
     agree(off <= ACCURATE or told, (off, said, feti.error_estimate))
     agree((feti.error_floor > 1e-7) == any("estimated error" in line for line in said), said)

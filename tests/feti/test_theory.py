@@ -34,10 +34,10 @@ EXACT = {"feti_dual_ksp_rtol": 1e-10, "feti_dual_ksp_norm_type": "natural"}
 every_pc = pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity"])
 
 
-def spectrum(feti, problem, load=1.0, **options):
+def spectrum(create_ksp, problem, load=1.0, **options):
     """Ritz values of the dual system, with random loads and the paper's coarse space."""
     options = {"formulation": "dual", "coarse_modes": 0} | options
-    ksp = feti(problem.A, ksp_rtol=1e-10, **{f"feti_{key}": o for key, o in options.items()})
+    ksp = create_ksp(problem.A, ksp_rtol=1e-10, **{f"feti_{key}": o for key, o in options.items()})
     values = random_values(problem, seed=11213)
     reason, _ = solve(ksp, problem, np.where(problem.dirichlet, values, load * values))
     agree(reason > 0, ksp.getPythonContext().message)
@@ -75,11 +75,13 @@ def eigenvalues(formulation):
         ("dirichlet", 7.6, 10.0),
     ],
 )
-def test_condition_numbers_of_the_paper(kind, pc_type, all_floating, classical, feti, lifetime):
+def test_condition_numbers_of_the_paper(
+    kind, pc_type, all_floating, classical, create_ksp, lifetime
+):
     """Its cube on the coarsest level: 512 subdomains, multiplicity scaling, Q = I."""
     problem = lifetime.own(paper_cube.cube(8))
     options = {"type": kind, "pc_type": pc_type, "scaling": "multiplicity"}
-    low, high = spectrum(feti, problem, load=0.0, coarse_q="identity", **options)
+    low, high = spectrum(create_ksp, problem, load=0.0, coarse_q="identity", **options)
     expected = all_floating if kind == "all_floating" else classical
     agree(abs(high / low - expected) < 0.008 * expected, (high / low, expected))
 
@@ -97,7 +99,7 @@ GRIDS = {
 
 @each("grid", GRIDS)
 @every_type
-def test_no_eigenvalue_below_one(grid, kind, torn_grid, feti):
+def test_no_eigenvalue_below_one(grid, kind, torn_grid, create_ksp):
     """The Ritz values of CG for all scalings and weights Q; lumped bounds Dirichlet."""
     problem = torn_grid(**grid)
     for pc_type, scaling, q in itertools.product(
@@ -106,7 +108,7 @@ def test_no_eigenvalue_below_one(grid, kind, torn_grid, feti):
         ("preconditioner", "diagonal", "identity"),
     ):
         options = {"pc_type": pc_type, "scaling": scaling, "coarse_q": q}
-        low, high = spectrum(feti, problem, type=kind, **options)
+        low, high = spectrum(create_ksp, problem, type=kind, **options)
         exact = len(grid["subdomains"]) == 1 and np.isnan(high)  # in a row, no iteration is needed
         agree(exact or low >= 1.0 - ROUNDING, (options, low))
 
@@ -114,13 +116,15 @@ def test_no_eigenvalue_below_one(grid, kind, torn_grid, feti):
 @pytest.mark.parametrize("grid", [GRIDS["cross points"], GRIDS["plane strain"]])
 @pytest.mark.parametrize("q", ["preconditioner", "diagonal", "identity"])
 @every_pc
-def test_ritz_values_against_a_dense_eigensolver(grid, q, pc_type, torn_grid, parts, feti):
+def test_ritz_values_against_a_dense_eigensolver(
+    grid, q, pc_type, torn_grid, create_dual, create_ksp
+):
     """CG's extreme values lie inside the spectrum and reach its ends."""
     problem = torn_grid(**grid)
-    values = eigenvalues(parts(problem.A, pc_type=pc_type, coarse_q=q))
+    values = eigenvalues(create_dual(problem.A, pc_type=pc_type, coarse_q=q))
     if pc_type != "identity":
         agree(values[0] >= 1.0 - 1e-9, values[0])
-    low, high = spectrum(feti, problem, pc_type=pc_type, coarse_q=q)
+    low, high = spectrum(create_ksp, problem, pc_type=pc_type, coarse_q=q)
     agree(values[0] - ROUNDING <= low and high <= values[-1] + ROUNDING, (values, low, high))
     agree(abs(high - values[-1]) < 0.02 * values[-1], (values[-1], high))
     agree(abs(low - values[0]) < 0.05 * values[0], (values[0], low))
@@ -140,11 +144,11 @@ def corners_and_edges(x):
     return mark
 
 
-def test_kernels_of_all_dimensions_in_one_decomposition(feti, lifetime):
+def test_kernels_of_all_dimensions_in_one_decomposition(create_ksp, lifetime):
     """The bound holds whatever is left of the rigid motions."""
     problem = lifetime.own(paper_cube.cube(3, fixed=corners_and_edges))
     options = {f"feti_{name}": value for name, value in PAPER.items()}
-    ksp = feti(problem.A, feti_type="classical", **options)
+    ksp = create_ksp(problem.A, feti_type="classical", **options)
     solve(ksp, problem, random_values(problem))
     context = ksp.getPythonContext()
     agree(context.report().kernels == (1, 2, 1, 1, 2, 1, 19), context.report().kernels)
@@ -158,13 +162,15 @@ def test_kernels_of_all_dimensions_in_one_decomposition(feti, lifetime):
 @every_type
 @each("problem", {"Laplace": ((4, 4), 1), "plane strain": ((3, 3), 2)})
 @pytest.mark.parametrize("q", ["preconditioner", "identity"])
-def test_condition_grows_no_faster_than_a_squared_logarithm(problem, q, kind, torn_grid, feti):
+def test_condition_grows_no_faster_than_a_squared_logarithm(
+    problem, q, kind, torn_grid, create_ksp
+):
     """The quotient κ/(1 + log H/h)² does not grow with H/h; lumped is left behind."""
     ratios = np.array([4, 8, 16])
     condition = {"dirichlet": [], "lumped": []}
     for n, pc_type in itertools.product(ratios, condition):
         grid = torn_grid(problem[0], (n, n), components=problem[1])
-        low, high = spectrum(feti, grid, type=kind, coarse_q=q, pc_type=pc_type)
+        low, high = spectrum(create_ksp, grid, type=kind, coarse_q=q, pc_type=pc_type)
         condition[pc_type].append(high / low)
     quotient = np.array(condition["dirichlet"]) / (1.0 + np.log(ratios)) ** 2
     agree(np.all(quotient[1:] <= 1.05 * quotient[:-1]), (condition, quotient))
@@ -173,24 +179,26 @@ def test_condition_grows_no_faster_than_a_squared_logarithm(problem, q, kind, to
 
 @every_type
 @pytest.mark.parametrize("components", [1, 2])
-def test_condition_is_bounded_in_the_number_of_subdomains(components, kind, torn_grid, feti):
+def test_condition_is_bounded_in_the_number_of_subdomains(components, kind, torn_grid, create_ksp):
     """At H/h = 4 from 4 to 100 subdomains; iterations with it."""
     condition = []
     for n in (2, 5, 10):
-        low, high = spectrum(feti, torn_grid((n, n), (4, 4), components=components), type=kind)
+        low, high = spectrum(
+            create_ksp, torn_grid((n, n), (4, 4), components=components), type=kind
+        )
         condition.append(high / low)
     agree(condition[-1] < 1.15 * condition[-2], condition)
     agree(condition[-1] < 12.0, condition)
 
 
 @every_type
-def test_stiffness_scaling_does_not_notice_jumps(kind, torn_grid, feti):
+def test_stiffness_scaling_does_not_notice_jumps(kind, torn_grid, create_ksp):
     """A checkerboard of 10⁶; with multiplicity scaling the jump is the condition number."""
     condition = {}
     for jump, scaling in ((1.0, "stiffness"), (1e6, "stiffness"), (1e6, "multiplicity")):
         grid = torn_grid((5, 3), (4, 4), stiffness=lambda i, jump=jump: jump ** (i % 2))
         options = {"feti_type": kind, "feti_scaling": scaling, "feti_formulation": "dual"}
-        ksp = feti(grid.A, ksp_rtol=1e-6, **options)
+        ksp = create_ksp(grid.A, ksp_rtol=1e-6, **options)
         _, x = solve(ksp, grid, random_values(grid))
         condition[jump, scaling] = ksp.getPythonContext().condition_number
         agree(np.all(np.isfinite(x)))
@@ -209,19 +217,19 @@ def jumping(torn_grid):
 
 @every_type
 @every_pc
-def test_ritz_values_are_the_ends_of_the_spectrum(kind, pc_type, jumping, parts, feti):
+def test_ritz_values_are_the_ends_of_the_spectrum(kind, pc_type, jumping, create_dual, create_ksp):
     """Condition number to 1e-6, and no iteration for a ghost.
 
     In exact arithmetic there are no more iterations than different eigenvalues. All-floating and
     lumped, no load reaches the lowest eigenvectors, which pull the copies of a Dirichlet dof apart.
     """
     chosen = {"type": kind, "pc_type": pc_type, **PAPER}
-    values = eigenvalues(parts(jumping.A, **chosen))
+    values = eigenvalues(create_dual(jumping.A, **chosen))
     different = 1 + np.count_nonzero(np.diff(values) > 1e-9 * values[1:])
     options = {f"feti_{name}": value for name, value in chosen.items()}
     found = []
     for method in ("cg", "fcg"):
-        ksp = feti(jumping.A, feti_dual_ksp_type=method, **options, **EXACT)
+        ksp = create_ksp(jumping.A, feti_dual_ksp_type=method, **options, **EXACT)
         reason, _ = solve(ksp, jumping, random_values(jumping, seed=11215))
         found.append(ksp.getPythonContext())
         agree(reason > 0 and found[-1].method == method, (found[-1].method, found[-1].message))
@@ -234,9 +242,9 @@ def test_ritz_values_are_the_ends_of_the_spectrum(kind, pc_type, jumping, parts,
 
 
 @pytest.mark.parametrize("method", ["cg", "fcg"])
-def test_later_solves_may_take_more_iterations(method, jumping, feti):
+def test_later_solves_may_take_more_iterations(method, jumping, create_ksp):
     """PETSc sizes the arrays of the coefficients at set-up, for the iterations then allowed."""
-    ksp = feti(jumping.A, feti_pc_type="identity", feti_dual_ksp_type=method, ksp_max_it=2)
+    ksp = create_ksp(jumping.A, feti_pc_type="identity", feti_dual_ksp_type=method, ksp_max_it=2)
     counts = []
     for most in (2, 1000, 5, 1000):
         ksp.setTolerances(max_it=most)
@@ -289,11 +297,11 @@ def shifted(size):
 @every_grid
 @every_type
 def test_multipliers_and_displacements_are_those_of_the_dense_reference(
-    grid, kind, torn_grid, parts, feti
+    grid, kind, torn_grid, create_dual, create_ksp
 ):
     """Bᵀλ, which is unique, and u; B u = c and Gᵀλ = e; x, and the residual that is reported."""
     problem = torn_grid(**grid)
-    formulation = parts(problem.A, type=kind)
+    formulation = create_dual(problem.A, type=kind)
     torn = formulation.torn
     gluing = formulation.pattern.gluing
     b = problem.vector(random_values(problem))
@@ -332,7 +340,7 @@ def test_multipliers_and_displacements_are_those_of_the_dense_reference(
     values = random_values(problem)
     free = ~problem.dirichlet
     K = problem.matrix
-    ksp = feti(problem.A, feti_type=kind, ksp_rtol=1e-10)
+    ksp = create_ksp(problem.A, feti_type=kind, ksp_rtol=1e-10)
     reason, x = solve(ksp, problem, values)
     agree(reason > 0, ksp.getPythonContext().message)
     equal(x, problem.solve(values), 1e-8)
@@ -348,7 +356,7 @@ def test_multipliers_and_displacements_are_those_of_the_dense_reference(
 @every_type
 @pytest.mark.parametrize("size", [1e-7, 1e-3, 0.1, 0.5])
 @pytest.mark.parametrize("enriched", [True, False], ids=["enrich", "gmres"])
-def test_prestress_is_solved_exactly(size, kind, enriched, torn_grid, feti, monkeypatch):
+def test_prestress_is_solved_exactly(size, kind, enriched, torn_grid, create_ksp, monkeypatch):
     """The modes leave the kernels, K_ρ turns indefinite, the assembled matrix does not notice."""
     grid = {"subdomains": (2, 2), "cells": (3, 3), "components": 2}
     plain = torn_grid(**grid)
@@ -357,7 +365,7 @@ def test_prestress_is_solved_exactly(size, kind, enriched, torn_grid, feti, monk
     equal(problem.solve(values), plain.solve(values), 1e-10)
     if not enriched:
         monkeypatch.setattr("dolfinx_feti.feti.subdomain.mode_search.MAX_BUCKLING_ROUNDS", 0)
-    context = solved(feti(problem.A, feti_type=kind, ksp_rtol=1e-11), problem, values=values)
+    context = solved(create_ksp(problem.A, feti_type=kind, ksp_rtol=1e-11), problem, values=values)
     report = context.report()
     agree(report.exact < 4, report)
     if size == 0.5:
@@ -369,7 +377,7 @@ def test_prestress_is_solved_exactly(size, kind, enriched, torn_grid, feti, monk
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("size", [1e-8, 1e-2])
 @pytest.mark.parametrize("formulation", ["auto", "dual"])
-def test_interior_prestress_of_either_sign(sign, size, formulation, torn_grid, feti):
+def test_interior_prestress_of_either_sign(sign, size, formulation, torn_grid, create_ksp):
     """K symmetric with K R ≠ 0 in some subdomains: D ≠ 0, and the assembled problem is solved.
 
     The dual system is indefinite where D is, and takes GMRES.
@@ -383,7 +391,7 @@ def test_interior_prestress_of_either_sign(sign, size, formulation, torn_grid, f
             K[i][interior, interior] += sign * size * np.abs(K[i]).max() * (half @ half.T)
 
     problem = torn_grid((2, 2), (2, 2), components=2, change=change)
-    ksp = feti(problem.A, ksp_rtol=1e-11, feti_formulation=formulation)
+    ksp = create_ksp(problem.A, ksp_rtol=1e-11, feti_formulation=formulation)
     context = solved(ksp, problem)
     report = context.report()
     agree(report.exact == 2, report.exact)

@@ -1,22 +1,22 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Played problems."""
+"""FakeProblem problems."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
 import pytest
-from played import Played
+from fake_problem import FakeProblem
 
 
 @pytest.fixture
-def played() -> Iterator[Callable[..., Played]]:
-    made: list[Played] = []
+def create_fake_problem() -> Iterator[Callable[..., FakeProblem]]:
+    made: list[FakeProblem] = []
 
-    def create(**arguments: object) -> Played:
-        made.append(Played(**arguments))
+    def create(**arguments: object) -> FakeProblem:
+        made.append(FakeProblem(**arguments))
         return made[-1]
 
     yield create

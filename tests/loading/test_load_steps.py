@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small
+from fake_problem import OWN, ROUNDING, STEP, truth
 from mixed import by_place
-from played import OWN, ROUNDING, STEP, truth
 from walls import tube, wall
 
 from dolfinx_feti import ConvergenceError, loads
@@ -43,8 +43,8 @@ def increments(steps: list[LoadStep]) -> np.ndarray:
         (0.2, [0.1, 0.2, 0.1, 0.2, 0.1]),  # loads that are met twice do not break the prediction
     ],
 )
-def test_targets_are_met_exactly_one_after_the_other(played, first, targets):
-    problem = played(start=0.05)
+def test_targets_are_met_exactly_one_after_the_other(create_fake_problem, first, targets):
+    problem = create_fake_problem(start=0.05)
     turns = len(set(np.sign(np.diff([0.05, *targets])))) > 1
     steps = problem.follow(targets, Steps(first=first, least=0.01), unloading=turns)
     path = [0.05, *(step.load for step in steps)]
@@ -60,8 +60,8 @@ def test_targets_are_met_exactly_one_after_the_other(played, first, targets):
 
 
 @pytest.mark.parametrize("targets", [[], [0.3], [0.3, 0.3]])
-def test_nothing_is_done_where_one_is_already(played, targets):
-    problem = played(start=0.3)
+def test_nothing_is_done_where_one_is_already(create_fake_problem, targets):
+    problem = create_fake_problem(start=0.3)
     agree(problem.follow(targets, Steps(first=1.0, least=1.0)) == [] and not problem.attempts)
 
 
@@ -74,14 +74,14 @@ def test_nothing_is_done_where_one_is_already(played, targets):
         (9, [1.0, 1.01, 2.01], 0.5, 1.0, [0.5, 0.5, 0.01, 0.5, 0.5]),  # whatever it costs
     ],
 )
-def test_increments(played, cost, targets, first, growth, expected):
-    problem = played(cost=lambda increment: cost)
+def test_increments(create_fake_problem, cost, targets, first, growth, expected):
+    problem = create_fake_problem(cost=lambda increment: cost)
     steps = problem.follow(targets, Steps(first=first, least=0.1, growth=growth, quick=3))
     equal(increments(steps), expected, 1e-9)
 
 
-def test_increments_grow_after_quick_steps(played):
-    problem = played(cost=lambda increment: 3)
+def test_increments_grow_after_quick_steps(create_fake_problem):
+    problem = create_fake_problem(cost=lambda increment: 3)
     steps = problem.follow([100.0], Steps(first=1.0, least=1.0, growth=2.0, quick=3))
     found = increments(steps)
     agree(found[0] == 1.0 and len(found) == 7, found)  # 1 + 2 + 4 + … > 100 with seven terms
@@ -101,16 +101,18 @@ class DoubledSteps(Steps):
         return Doubling(self.first, self.least)
 
 
-def test_a_further_rule_is_a_class_and_a_line(played):
+def test_a_further_rule_is_a_class_and_a_line(create_fake_problem):
     """Settings choose it; steps that are not quick do not matter to it."""
-    problem = played(cost=lambda increment: 99)
+    problem = create_fake_problem(cost=lambda increment: 99)
     steps = problem.follow([7.0], DoubledSteps(first=1.0, least=1.0, quick=3))
     equal(increments(steps), [1.0, 2.0, 4.0], ROUNDING)
 
 
-def test_increment_is_halved_until_it_succeeds(played):
+def test_increment_is_halved_until_it_succeeds(create_fake_problem):
     """Each new attempt begins in the last equilibrium, with a new preconditioner."""
-    problem = played(fails=lambda before, load: load - before > 0.3, cost=lambda increment: 9)
+    problem = create_fake_problem(
+        fails=lambda before, load: load - before > 0.3, cost=lambda increment: 9
+    )
     steps = problem.follow([4.0], Steps(first=1.0, least=0.01, quick=3))
     equal([a.load for a in problem.attempts[:4]], [1.0, 0.5, 0.25, 0.5], ROUNDING)
     agree([step.failures for step in steps] == [2] + 15 * [0])
@@ -124,9 +126,9 @@ def test_increment_is_halved_until_it_succeeds(played):
     equal(problem.state(), truth(4.0), ROUNDING)
 
 
-def test_increment_does_not_grow_in_a_step_that_failed_first(played):
+def test_increment_does_not_grow_in_a_step_that_failed_first(create_fake_problem):
     """The step was quick, but only because it was short."""
-    problem = played(fails=lambda before, load: before == 0.0 and load > 0.3)
+    problem = create_fake_problem(fails=lambda before, load: before == 0.0 and load > 0.3)
     steps = problem.follow([8.0], Steps(first=1.0, least=0.01, growth=2.0, quick=3))
     equal(increments(steps)[:2], [0.25, 0.25], 0.01)
     agree(increments(steps)[2] > 0.4)
@@ -142,9 +144,11 @@ def test_increment_does_not_grow_in_a_step_that_failed_first(played):
         (0.0, 5.0, 0.5, 0.25, 2.0),  # far along the way
     ],
 )
-def test_least_increment(played, start, target, first, least, last):
+def test_least_increment(create_fake_problem, start, target, first, least, last):
     """State, load and tolerances are those of the last equilibrium; the message has a remedy."""
-    problem = played(start=start, fails=lambda before, load: abs(load - start) > last - start)
+    problem = create_fake_problem(
+        start=start, fails=lambda before, load: abs(load - start) > last - start
+    )
     before = problem.solver.getTolerances()
     seen = [start]
     with raises(
@@ -178,7 +182,7 @@ def test_least_increment(played, start, target, first, least, last):
         pytest.param(ConvergenceError("It fails."), "It fails. Allow smaller incr", id="other"),
     ],
 )
-def test_remedy_fits_the_failure(played, error, match):
+def test_remedy_fits_the_failure(create_fake_problem, error, match):
     """At a limit point no increment helps, and an unsupported body has its advice already."""
 
     def fails(before: float, load: float) -> bool:
@@ -187,19 +191,19 @@ def test_remedy_fits_the_failure(played, error, match):
             raise error
         return False
 
-    problem = played(fails=fails)
+    problem = create_fake_problem(fails=fails)
     with raises(ConvergenceError, match):
         problem.follow([1.0], Steps(first=0.25, least=0.1))
 
 
 @pytest.mark.parametrize("growth", [1.0, 1.7])
-def test_prediction_is_exact_for_parabolas(played, growth):
+def test_prediction_is_exact_for_parabolas(create_fake_problem, growth):
     """With increments of any length, on the way back, and after a failure.
 
     The first steps begin with the tangent of the last equilibrium. The tolerance refers to that
     under the new load, not to the prediction.
     """
-    problem = played(fails=lambda before, load: before > 0.5 and load - before > 0.3)
+    problem = create_fake_problem(fails=lambda before, load: before > 0.5 and load - before > 0.3)
     steps = Steps(first=0.15, least=0.01, growth=growth)
     problem.follow([2.0, 0.3, 1.0], steps, unloading=True)
     agree(len(problem.attempts) > 8)
@@ -214,9 +218,11 @@ def test_prediction_is_exact_for_parabolas(played, growth):
     agree(growth == 1.0 or not all(attempt.converged for attempt in problem.attempts))
 
 
-def test_inadmissible_prediction_gives_way_to_the_tangent(played):
+def test_inadmissible_prediction_gives_way_to_the_tangent(create_fake_problem):
     """No step is lost; and a failure from there is one."""
-    problem = played(inside_out=lambda load: load > 0.5, fails=lambda before, load: load == 0.8)
+    problem = create_fake_problem(
+        inside_out=lambda load: load > 0.5, fails=lambda before, load: load == 0.8
+    )
     steps = problem.follow([1.0], Steps(first=0.2, least=0.01, growth=1.0))
     agree([step.failures for step in steps] == [0, 0, 0, 1, 0, 0, 0], steps)
     for step in (attempt for attempt in problem.attempts if attempt.load > 0.5):
@@ -227,9 +233,9 @@ def test_inadmissible_prediction_gives_way_to_the_tangent(played):
 
 
 @pytest.mark.parametrize("rough", [None, 1e-2, OWN / 100])
-def test_rough_on_the_way_and_exact_at_the_targets(played, rough):
+def test_rough_on_the_way_and_exact_at_the_targets(create_fake_problem, rough):
     """If it is asked for; a tolerance of the solver's own that is rougher still is kept."""
-    problem = played(fails=lambda before, load: load == 0.5 and load - before > 0.15)
+    problem = create_fake_problem(fails=lambda before, load: load == 0.5 and load - before > 0.15)
     solvers = (problem.solver, problem.solver.getKSP())
     before = [solver.getTolerances() for solver in solvers]
     steps = Steps(first=0.2, least=0.01, growth=1.0, rtol=rough, linear_rtol=rough and rough / 10)
@@ -242,8 +248,10 @@ def test_rough_on_the_way_and_exact_at_the_targets(played, rough):
         small(attempt.linear_rtol - max(rougher / 10, OWN), 0.0)
 
 
-def test_on_step_is_called_in_each_equilibrium_on_all_processes(played):
-    problem = played(cost=lambda increment: 2, fails=lambda before, load: load - before > 0.25)
+def test_on_step_is_called_in_each_equilibrium_on_all_processes(create_fake_problem):
+    problem = create_fake_problem(
+        cost=lambda increment: 2, fails=lambda before, load: load - before > 0.25
+    )
     seen: list[LoadStep] = []
 
     def look(step: LoadStep) -> None:
@@ -268,9 +276,9 @@ def test_on_step_is_called_in_each_equilibrium_on_all_processes(played):
         (-math.inf, [1.0], "start=-inf"),
     ],
 )
-def test_bad_loads(played, start, targets, match):
+def test_bad_loads(create_fake_problem, start, targets, match):
     """On one process alone: all refuse them, before anything has moved."""
-    problem = played()
+    problem = create_fake_problem()
     if not LAST:
         start = 0.0
         targets = [1.0]
@@ -280,9 +288,9 @@ def test_bad_loads(played, start, targets, match):
 
 
 @pytest.mark.parametrize("where", ["set_load", "on_step"])
-def test_call_that_fails_on_one_process(played, where):
+def test_call_that_fails_on_one_process(create_fake_problem, where):
     """It fails on all, and leaves state, tolerances and load of the last equilibrium."""
-    problem = played()
+    problem = create_fake_problem()
 
     def call(name: str, load: float) -> None:
         if name == "set_load":

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises
-from played import ROUNDING, truth
+from fake_problem import ROUNDING, truth
 
 from dolfinx_feti.loading import Checkpoint, Steps
 from dolfinx_feti.loading.places import PlaceTolerance, check_places
@@ -57,8 +57,8 @@ def test_what_turns_back_by_rounding_alone_does_not():
         pytest.param([0.3, 3 * 0.1, 0.1, 0.3, 3 * 0.1], True, id="up-and-down"),
     ],
 )
-def test_a_path_takes_no_step_between_them(played, targets, unloading):
-    problem = played()
+def test_a_path_takes_no_step_between_them(create_fake_problem, targets, unloading):
+    problem = create_fake_problem()
     steps = problem.follow(targets, STEPS, unloading=unloading)
     shortest = min(abs(step.increment) for step in steps)
     agree(shortest > 0.05, f"the shortest step is {shortest}")
@@ -72,16 +72,16 @@ def test_a_path_takes_no_step_between_them(played, targets, unloading):
     equal(problem.state(), truth(targets[-1]), ROUNDING)
 
 
-def test_a_path_that_begins_at_its_first_target(played):
-    problem = played(start=0.1 + 0.2)
+def test_a_path_that_begins_at_its_first_target(create_fake_problem):
+    problem = create_fake_problem(start=0.1 + 0.2)
     agree(problem.follow([0.3], STEPS) == [] and not problem.attempts, problem.attempts)
 
 
-def test_a_target_that_was_met_before_a_restart(played, tmp_path):
+def test_a_target_that_was_met_before_a_restart(create_fake_problem, tmp_path):
     """It is known again, whatever rounding made of it."""
-    first = played()
+    first = create_fake_problem()
     first.follow([0.3], STEPS, checkpoint=Checkpoint(tmp_path, COMM))
-    second = played()
+    second = create_fake_problem()
     steps = second.follow(
         [3 * 0.1, 0.6], STEPS, checkpoint=Checkpoint(tmp_path, COMM, restart=True)
     )

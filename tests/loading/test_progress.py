@@ -70,16 +70,18 @@ def shown(terminal: Terminal) -> list[str]:
     return [line for line in lines(terminal.getvalue()) if "Newton" in line]
 
 
-def test_nothing_is_shown_where_there_is_no_terminal(played, open_terminal):
+def test_nothing_is_shown_where_there_is_no_terminal(create_fake_problem, open_terminal):
     screen = open_terminal(there=False)
-    played().follow([1.0], Steps(first=0.1, least=0.1))
+    create_fake_problem().follow([1.0], Steps(first=0.1, least=0.1))
     agree(screen.getvalue() == "", screen.getvalue())
 
 
-def test_bar_on_the_first_process(played, terminal):
+def test_bar_on_the_first_process(create_fake_problem, terminal):
     """Share of the way, up and down, the time left once it is known, the load and Newton step."""
     steps = Steps(first=1.0, least=1.0, growth=1.0)
-    played(cost=lambda increment: 2).follow([3.0, 1.0], steps, unloading=True, unit="mmHg")
+    create_fake_problem(cost=lambda increment: 2).follow(
+        [3.0, 1.0], steps, unloading=True, unit="mmHg"
+    )
     agree(COMM.rank == 0 or terminal.getvalue() == "")
     said = COMM.bcast(shown(terminal))
     last = {
@@ -91,9 +93,9 @@ def test_bar_on_the_first_process(played, terminal):
     agree(["about 00:00 left" in line for line in last.values()] == [False] + [True] * 4, last)
 
 
-def test_bar_goes_when_the_way_ends(played, terminal):
+def test_bar_goes_when_the_way_ends(create_fake_problem, terminal):
     """After a failure too, and a later solve of the same SNES shows nothing."""
-    problem = played(fails=lambda before, load: load > 0.5)
+    problem = create_fake_problem(fails=lambda before, load: load > 0.5)
     with raises(ConvergenceError, "beyond a load of 0.5"):
         problem.follow([1.0], Steps(first=0.5, least=0.5))
     written = terminal.getvalue()
@@ -102,9 +104,9 @@ def test_bar_goes_when_the_way_ends(played, terminal):
     agree(terminal.getvalue() == written)
 
 
-def test_one_monitor_however_many_loads(played, terminal):
+def test_one_monitor_however_many_loads(create_fake_problem, terminal):
     """The user's own stays, too; each load has its own bar."""
-    problem = played()
+    problem = create_fake_problem()
     seen = []
     problem.solver.setMonitor(lambda snes, its, norm: seen.append(its))
     for load in (1.0, 2.0, 3.0):
@@ -115,10 +117,10 @@ def test_one_monitor_however_many_loads(played, terminal):
     agree(all(any(load in line for line in shown(terminal)) for load in loads), shown(terminal))
 
 
-def test_bar_makes_room_for_other_output(played, terminal):
+def test_bar_makes_room_for_other_output(create_fake_problem, terminal):
     """Where ``on_step`` is called, the line is empty."""
     cleared = []
-    played().follow(
+    create_fake_problem().follow(
         [1.0],
         Steps(first=0.5, least=0.5),
         on_step=lambda _: cleared.append(lines(terminal.getvalue())[-1:]),
@@ -135,10 +137,10 @@ def test_bar_makes_room_for_other_output(played, terminal):
     ],
     ids=lambda error: type(error).__name__,
 )
-def test_terminal_of_the_first_process(error, played, open_terminal):
+def test_terminal_of_the_first_process(error, create_fake_problem, open_terminal):
     """The run goes on without the bar, if it cannot be written."""
     screen = open_terminal(error=error)
-    steps = played(cost=lambda increment: 2).follow([1.0], Steps(first=0.2, least=0.1))
+    steps = create_fake_problem(cost=lambda increment: 2).follow([1.0], Steps(first=0.2, least=0.1))
     agree(steps[-1].load == 1.0 and (screen.tried > 0) == (COMM.rank == 0))
     # A thread of tqdm's would wait at exit for the lock that a failed write has left.
     agree(not [each for each in threading.enumerate() if isinstance(each, TMonitor)])
@@ -147,10 +149,10 @@ def test_terminal_of_the_first_process(error, played, open_terminal):
 # -- the log
 
 
-def test_a_line_for_each_load_step(played, open_terminal, caplog):
+def test_a_line_for_each_load_step(create_fake_problem, open_terminal, caplog):
     """On the first process; a failed attempt has a separate line."""
     caplog.set_level("INFO", logger="dolfinx_feti")
-    problem = played(
+    problem = create_fake_problem(
         cost=lambda increment: 2, fails=lambda before, load: before == 0.5 and load == 1.0
     )
     problem.solver.setFunctionNorm(2.5e-7)

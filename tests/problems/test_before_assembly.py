@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from collective import COMM, agree, equal, lu_solve, raises, small
+from collective import COMM, agree, equal, logged_messages, lu_solve, raises, small
 from problems import cube, dirichlet, left, owned, right
 from wall_files import ROOT
 
@@ -258,7 +258,7 @@ def test_unknown_is_not_in_the_residual(caplog):
     plate = Plate(cells=2)
     for _ in range(2):
         plate.problem(before_assembly=None)
-    said = COMM.bcast([record.getMessage() for record in caplog.records])
+    said = logged_messages(caplog)
     agree(len(said) == 2 and all("pass before_assembly=update" in text for text in said), said)
     with raises(ValueError, "'u' does not occur in F: .* by J=, and .* by before_assembly="):
         plate.problem(J=None)

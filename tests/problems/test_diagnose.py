@@ -33,8 +33,8 @@ def quantities(problem):
 # -- figures
 
 
-def test_figures_of_a_linear_problem(solve):
-    problem = solve(elasticity(cube(3, 4)), 6, {"feti_type": "all_floating"})
+def test_figures_of_a_linear_problem(solve_linear):
+    problem = solve_linear(elasticity(cube(3, 4)), 6, {"feti_type": "all_floating"})
     found = problem.diagnose()
     figures = found.figures
     report = found.report

@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from collective import COMM, agree, equal, raises
+from collective import COMM, agree, equal, logged_messages, raises
 from problems import Cell, Problem, cube, dirichlet, left, owned, right
 
 import dolfinx
@@ -65,10 +65,6 @@ def solved(ksp, b):
     return values
 
 
-def said(caplog):
-    return COMM.bcast([record.getMessage() for record in caplog.records])
-
-
 def test_load_of_another_form(body, caplog):
     """assemble_rhs takes the form, and adds the prescribed values itself."""
     body.problem.linear_system()[1].destroy()
@@ -78,7 +74,7 @@ def test_load_of_another_form(body, caplog):
     equal(b.array_r, same.array_r, 1e-14)
     for each in (b, same):
         each.destroy()
-    agree(not said(caplog), said(caplog))
+    agree(not logged_messages(caplog), logged_messages(caplog))
     with raises(ValueError, "L has 2 test and trial functions, but takes 1"):
         body.problem.assemble_rhs(body.a)
 
@@ -101,9 +97,9 @@ def test_lifted_vector(body, caplog, way):
             ksp.setFromOptions()
     for _ in range(2):
         equal(solved(ksp, lifted(body)), body.exact, 1e-6)
-    agree(not said(caplog), said(caplog))
+    agree(not logged_messages(caplog), logged_messages(caplog))
     solved(ksp, body.problem.assemble_rhs(body.loads[1]))
-    agree("does not seem to be lifted" in "".join(said(caplog)), said(caplog))
+    agree("does not seem to be lifted" in "".join(logged_messages(caplog)), logged_messages(caplog))
     ksp.destroy()
 
 
@@ -113,7 +109,7 @@ def test_lifted_vector_where_feti_lifts(body, caplog):
     for _ in range(2):
         found = solved(body.problem.solver, lifted(body))
     agree(COMM.allreduce(np.abs(found - body.exact).max(initial=0.0), op=max) > 0.1)
-    texts = said(caplog)
+    texts = logged_messages(caplog)
     agree(len(texts) == 1 and "FETI lifts it again" in texts[0], texts)
     agree("assemble_rhs(L)" in texts[0] and "FETI(lifted=True)" in texts[0], texts)
 
@@ -128,7 +124,7 @@ def test_option_has_no_place_in_a_problem(body):
 def test_solution_of_the_problem_is_as_before(body, caplog):
     expected = Problem(body.V, body.a, body.loads[0], body.bcs).solve_directly()
     equal(owned(body.problem.solve()), expected, 1e-6)
-    agree(not said(caplog), said(caplog))
+    agree(not logged_messages(caplog), logged_messages(caplog))
 
 
 def test_load_that_looks_like_a_lifted_one(caplog):
@@ -143,4 +139,4 @@ def test_load_that_looks_like_a_lifted_one(caplog):
     _, b = problem.linear_system()
     b.set(1.0)
     solved(problem.solver, b)
-    agree(not said(caplog), said(caplog))
+    agree(not logged_messages(caplog), logged_messages(caplog))

@@ -64,7 +64,7 @@ def check(problem, ksp, system, tolerance=1e-6):
 @forms
 @pytest.mark.parametrize("symmetric", [True, False])
 @pytest.mark.parametrize("units", [1.0, 1e6, 1e-9])
-def test_regular_matrix(form, symmetric, units, torn_grid, feti):
+def test_regular_matrix(form, symmetric, units, torn_grid, create_ksp):
     """Columns in units that differ by many orders, prescribed values, a corner."""
     problem = torn_grid(**GRID)
     B, C, D = border(problem, symmetric=symmetric, units=units)
@@ -72,17 +72,17 @@ def test_regular_matrix(form, symmetric, units, torn_grid, feti):
     b = rng.standard_normal(len(B))
     d = rng.standard_normal(2) * units ** np.arange(2)
     D = D - 1e-3 * np.diag(units ** (2.0 * np.arange(2)))
-    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    ksp = create_ksp(problem.A, feti_formulation=form, ksp_rtol=RTOL)
     check(problem, ksp, (b, B, C, D, d))
 
 
 @forms
-def test_one_negative_eigenvalue(form, torn_grid, feti):
+def test_one_negative_eigenvalue(form, torn_grid, create_ksp):
     """A is indefinite, and the bordered matrix as regular as ever: a branch past a limit point."""
     problem = torn_grid(change=softened(0.008), **GRID)
     agree(problem.negative == 1)
     b = np.random.default_rng(1).standard_normal(len(problem.dirichlet))
-    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    ksp = create_ksp(problem.A, feti_formulation=form, ksp_rtol=RTOL)
     check(problem, ksp, (b, *border(problem), np.array([0.3, -0.2])))
     if form == "primal":
         agree(ksp.getPythonContext().method == "cg")
@@ -90,7 +90,7 @@ def test_one_negative_eigenvalue(form, torn_grid, feti):
 
 @forms
 @pytest.mark.parametrize("distance", [1e-4, 1e-8, -1e-6])
-def test_nearly_singular(form, distance, torn_grid, feti):
+def test_nearly_singular(form, distance, torn_grid, create_ksp):
     """At a limit point: the smallest eigenvalue of A is any distance from zero."""
     problem = torn_grid(**GRID)
     copies = problem.T.sum(axis=0)[~problem.dirichlet]
@@ -103,14 +103,14 @@ def test_nearly_singular(form, distance, torn_grid, feti):
     problem = torn_grid(change=soften, **GRID)
     rng = np.random.default_rng(1)
     system = (rng.standard_normal(len(problem.dirichlet)), *border(problem, 1), np.array([0.3]))
-    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    ksp = create_ksp(problem.A, feti_formulation=form, ksp_rtol=RTOL)
     check(problem, ksp, system, 1e-5)
 
 
 @forms
 @pytest.mark.parametrize("rolls", [False, True])
 @pytest.mark.parametrize("grid", [(3, 2), (1, 1)], ids=["", "processes without dofs"])
-def test_floating_body(grid, form, rolls, torn_grid, feti):
+def test_floating_body(grid, form, rolls, torn_grid, create_ksp):
     """No condition, or one on a component; mean values and a rotation fix the rest."""
 
     def fixed(x):
@@ -124,18 +124,18 @@ def test_floating_body(grid, form, rolls, torn_grid, feti):
     m = B.shape[1]
     rng = np.random.default_rng(1)
     system = (rng.standard_normal(len(B)), B, modes, np.zeros((m, m)), rng.standard_normal(m))
-    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    ksp = create_ksp(problem.A, feti_formulation=form, ksp_rtol=RTOL)
     check(problem, ksp, system)
 
 
 @forms
-def test_springs_are_there_once_and_during_a_solve_alone(form, torn_grid, feti):
+def test_springs_are_there_once_and_during_a_solve_alone(form, torn_grid, create_ksp):
     """Whatever a caller adds to the diagonal between two solves, as Newton's shifts do."""
     problem = torn_grid(fixed=lambda x: np.zeros(len(x), dtype=bool), **GRID)
     rng = np.random.default_rng(1)
     n, m = problem.modes.shape
     loads = problem.modes, problem.modes, np.zeros((m, m)), rng.standard_normal(m)
-    ksp = feti(problem.A, feti_formulation=form, ksp_rtol=RTOL)
+    ksp = create_ksp(problem.A, feti_formulation=form, ksp_rtol=RTOL)
     solver = BorderedSolver()
     K = problem.local
 
@@ -164,12 +164,12 @@ def test_springs_are_there_once_and_during_a_solve_alone(form, torn_grid, feti):
         seen.clear()
 
 
-def test_a_matrix_that_has_not_changed_is_set_up_once(torn_grid, feti):
+def test_a_matrix_that_has_not_changed_is_set_up_once(torn_grid, create_ksp):
     """Springs come and go, but a second right-hand side finds the matrix of the first one."""
     problem = torn_grid(fixed=lambda x: np.zeros(len(x), dtype=bool), **GRID)
     rng = np.random.default_rng(1)
     n, m = problem.modes.shape
-    ksp = feti(problem.A, ksp_rtol=RTOL)
+    ksp = create_ksp(problem.A, ksp_rtol=RTOL)
     solver = BorderedSolver()
     made = []
     for _ in range(3):
@@ -182,13 +182,13 @@ def test_a_matrix_that_has_not_changed_is_set_up_once(torn_grid, feti):
     agree(ksp.getPythonContext().formulation is not made[0])
 
 
-def test_last_solution_serves_the_next_matrix(torn_grid, feti):
+def test_last_solution_serves_the_next_matrix(torn_grid, create_ksp):
     """The second system differs a little: its further right-hand sides take few iterations."""
     problem = torn_grid(**GRID)
     rng = np.random.default_rng(1)
     b = rng.standard_normal(len(problem.dirichlet))
     d = np.array([0.3, 0.2])
-    ksp = feti(problem.A, FETI(newton=True), ksp_rtol=1e-8)
+    ksp = create_ksp(problem.A, FETI(newton=True), ksp_rtol=1e-8)
     B, C, D = border(problem)
     _, _, solver = bordered(problem, ksp, b, B, C, D, d)
     first = solver.iterations
@@ -198,12 +198,12 @@ def test_last_solution_serves_the_next_matrix(torn_grid, feti):
 
 
 @pytest.mark.parametrize("kind", ["twice", "nothing"])
-def test_dependent_constraints(kind, torn_grid, feti):
+def test_dependent_constraints(kind, torn_grid, create_ksp):
     problem = torn_grid(**GRID)
     B, _, D = border(problem)
     B[:, 1] = B[:, 0] if kind == "twice" else 0.0
     b = np.random.default_rng(1).standard_normal(len(B))
-    ksp = feti(problem.A, ksp_rtol=RTOL)
+    ksp = create_ksp(problem.A, ksp_rtol=RTOL)
     bordered(problem, ksp, b, B, B.copy(), D, np.array([0.3, 0.2]))
     agree(ksp.getConvergedReason() == Reason.DIVERGED_BREAKDOWN)
     agree("depend on each other" in ksp.getPythonContext().message)

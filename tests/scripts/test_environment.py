@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""`scripts/with-fenicsx` and its helpers on a played machine, one for each process."""
+"""`scripts/with-fenicsx` and its helpers on a fake machine, one for each process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from fake_machine import CHECKOUT, PLAYED, Machine, wait_for
+from fake_machine import CHECKOUT, STUBS, Machine, wait_for
 
 import dolfinx_feti
 
@@ -34,8 +34,8 @@ def machine() -> Iterator[Machine]:
 
 def test_own_python_is_used_and_nothing_installed(machine: Machine) -> None:
     """Status, arguments and input pass through."""
-    machine.play("python3", "exit 0")
-    machine.play("id", "echo 1000")
+    machine.stub("python3", "exit 0")
+    machine.stub("id", "echo 1000")
     script = 'pwd; echo $PYTHONPATH; printf "[%s]" "$@"; cat; exit 7'
     words = ("sh", "-c", script, "sh", "two words", "", "'\"$HOME")
     result = machine.run(*words, text="typed", PYTHONPATH="/mine")
@@ -49,15 +49,15 @@ def test_own_python_is_used_and_nothing_installed(machine: Machine) -> None:
 
 @pytest.mark.parametrize(("user", "allowed"), [("0", "1"), ("1000", "")])
 def test_only_root_is_allowed_to_run_as_root(machine: Machine, user: str, allowed: str) -> None:
-    machine.play("python3", "exit 0")
-    machine.play("id", f"echo {user}")
+    machine.stub("python3", "exit 0")
+    machine.stub("id", f"echo {user}")
     result = machine.run("sh", "-c", "echo $OMPI_ALLOW_RUN_AS_ROOT,$PRTE_ALLOW_RUN_AS_ROOT")
     assert result.stdout == f"{allowed},{allowed}\n"
 
 
 # ---- when FEniCSx cannot be had -------------------------------------------------------------
 
-IN_TREE = 'case "$*" in *"{}"*) echo "{}"; exit 1 ;; esac; ' + PLAYED["chroot"]
+IN_TREE = 'case "$*" in *"{}"*) echo "{}"; exit 1 ;; esac; ' + STUBS["chroot"]
 #: A Python without dolfinx that can make an environment, whose Python has it.
 PYTHON = """
     case "$*" in
@@ -75,7 +75,7 @@ NO_ROUTE = PYTHON.replace("exit 0", "echo ERROR: no route; exit 1")
 NO_VENV = "cannot set up a virtual environment: .*"
 PIP = {"FENICSX_SUITE": "pip"}
 
-#: Programs played or, if None, taken away; variables; and what is said.
+#: Stubs of programs, None for a program to remove; variables; and the expected message.
 FAILURES = {
     "not root": ({"id": "echo 1000"}, {}, "this is not root"),
     "mounts forbidden": ({"unshare": "exit 1"}, {}, "mounting is not allowed"),
@@ -113,9 +113,9 @@ FAILURES = {
 
 @pytest.mark.parametrize("case", FAILURES)
 def test_one_message_names_the_cause_and_the_ways_out(machine: Machine, case: str) -> None:
-    played, variables, cause = FAILURES[case]
-    for tool, body in played.items():
-        machine.play(tool, body)
+    stubs, variables, cause = FAILURES[case]
+    for tool, body in stubs.items():
+        machine.stub(tool, body)
     result = machine.run("echo", "must not run", **variables)
     assert result.returncode == OWN_FAILURE
     assert result.stdout == ""
@@ -129,7 +129,7 @@ def test_one_message_names_the_cause_and_the_ways_out(machine: Machine, case: st
 def test_missing_debootstrap_is_installed(machine: Machine) -> None:
     (machine.bin / "debootstrap").rename(machine.folder / "debootstrap")
     move = f'mv "{machine.folder}/debootstrap" "{machine.bin}"'
-    machine.play("apt-get", f'{PLAYED["apt-get"]}case "$*" in *"install "*) {move} ;; esac')
+    machine.stub("apt-get", f'{STUBS["apt-get"]}case "$*" in *"install "*) {move} ;; esac')
     result = machine.run("true")
     assert result.returncode == 0
     assert "installing it with apt-get" in result.stderr
@@ -175,7 +175,7 @@ def test_what_the_tree_gets_from_outside(machine: Machine) -> None:
 @pytest.mark.parametrize("inside", ["trixie", ""])
 def test_asking_for_a_suite_asks_for_a_tree(machine: Machine, inside: str) -> None:
     """Inside one, its own Python is used."""
-    machine.play("python3", "exit 0")
+    machine.stub("python3", "exit 0")
     result = machine.run("echo", "here", FENICSX_SUITE="trixie", DOLFINX_FETI_INSIDE=inside)
     assert (result.returncode, result.stdout) == (0, "here\n")
     assert len(machine.calls("debootstrap")) == (0 if inside else 1)
@@ -193,12 +193,12 @@ def test_packages_of_the_docs_have_a_tree_of_their_own(machine: Machine) -> None
 
 
 def test_own_python_has_to_have_what_the_docs_need(machine: Machine) -> None:
-    machine.play("python3", 'case "$*" in *docs) echo "it has no myst_nb" >&2; exit 1 ;; esac')
+    machine.stub("python3", 'case "$*" in *docs) echo "it has no myst_nb" >&2; exit 1 ;; esac')
     assert machine.run("true").returncode == 0
     assert not machine.calls("debootstrap")
     result = machine.run("true", FENICSX_PACKAGES="docs", FENICSX_SUITE="trixie")
     assert "FENICSX_SUITE is trixie" in result.stderr
-    machine.play("id", "echo 1000")
+    machine.stub("id", "echo 1000")
     result = machine.run("true", FENICSX_PACKAGES="docs", DOLFINX_FETI_ENV="/nowhere")
     assert result.returncode == OWN_FAILURE
     assert "it has no myst_nb" in result.stderr and "scripts/debian-packages-docs" in result.stderr
@@ -211,7 +211,7 @@ def test_own_python_has_to_have_what_the_docs_need(machine: Machine) -> None:
 def visitor(machine: Machine) -> Machine:
     """A machine without root access, with Python and a compiler."""
     for tool, body in VISITOR.items():
-        machine.play(tool, body)
+        machine.stub(tool, body)
     return machine
 
 
@@ -233,10 +233,10 @@ def test_without_root_pip_brings_dolfinx(visitor: Machine) -> None:
 
 def test_pip_in_place_of_a_tree(visitor: Machine) -> None:
     """Where mounting is not allowed, or if asked for; not where a suite of Debian is."""
-    visitor.play("id", "echo 0")
+    visitor.stub("id", "echo 0")
     assert visitor.run("true", FENICSX_SUITE="pip").returncode == 0
     assert visitor.left() == {"pip"}
-    visitor.play("unshare", "exit 1")
+    visitor.stub("unshare", "exit 1")
     assert visitor.run("true").returncode == 0
     assert visitor.run("true", FENICSX_SUITE="trixie").returncode == OWN_FAILURE
     assert not visitor.calls("debootstrap")
@@ -249,7 +249,7 @@ def test_pip_in_place_of_a_tree(visitor: Machine) -> None:
 def slow(machine: Machine) -> Machine:
     """A machine on which debootstrap begins, and goes on when the file `go` appears."""
     hold = f'while [ ! -e "{machine.folder}/go" ]; do sleep 0.05; done'
-    machine.play("debootstrap", PLAYED["debootstrap"] + hold)
+    machine.stub("debootstrap", STUBS["debootstrap"] + hold)
     return machine
 
 

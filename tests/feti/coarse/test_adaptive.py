@@ -153,7 +153,9 @@ def volume_changes(cells):
 
 @every_type
 @every_interior
-def test_a_large_bulk_modulus_costs_few_iterations(kind, interior, torn_grid, form, monkeypatch):
+def test_a_large_bulk_modulus_costs_few_iterations(
+    kind, interior, torn_grid, create_primal, monkeypatch
+):
     """Where κ makes averages costly; where it does not, there are no columns."""
     monkeypatch.setattr(f"{ADAPTIVE}.INTERFACE_DOFS_FOR_ALL_COLUMNS", 40)
     cells = (4, 4)
@@ -180,7 +182,7 @@ def test_a_large_bulk_modulus_costs_few_iterations(kind, interior, torn_grid, fo
 
         problem = torn_grid((4, 3), cells, components=2, change=stiffen)
         more = columns if adaptive else None
-        primal = form(problem, more, type=kind, interior=interior, coarse_modes=0)
+        primal = create_primal(problem, more, type=kind, interior=interior, coarse_modes=0)
         _, outcome = primal_form.cg(primal.system, random_part(primal.system.copies.size))
         agree(outcome.reason > 0)
         iterations[κ, adaptive] = outcome.iterations
@@ -193,10 +195,10 @@ def test_a_large_bulk_modulus_costs_few_iterations(kind, interior, torn_grid, fo
 
 @every_type
 @every_interior
-def test_products_with_the_assembled_matrix(kind, interior, torn_grid, form):
+def test_products_with_the_assembled_matrix(kind, interior, torn_grid, create_primal):
     """T_i A T_iᵀ of the formed S, with neighbours on any process; δ^−½ S_i δ^−½ otherwise."""
     problem = torn_grid(**GRID)
-    primal = form(problem, type=kind, interior=interior)
+    primal = create_primal(problem, type=kind, interior=interior)
     exact = primal_form.reference(problem, primal)
     copies = primal.system.copies
     start = COMM.scan(copies.size) - copies.size
@@ -218,9 +220,9 @@ def test_products_with_the_assembled_matrix(kind, interior, torn_grid, form):
     small(worst, 1e-10 if interior == "keep" else 1e-6)  # A is unpacked in single precision
 
 
-def test_rows_in_any_order(torn_grid, form):
+def test_rows_in_any_order(torn_grid, create_primal):
     """The lower triangle of a block, row by row."""
-    operator = form(torn_grid(**GRID), interior="eliminate").operator
+    operator = create_primal(torn_grid(**GRID), interior="eliminate").operator
     code = load_block_code(COMM)
     for i, S_i in enumerate(operator.blocks):
         n = S_i.matrix.n

@@ -32,10 +32,10 @@ def weight(problem, formulation, q):
 @every_type
 @every_q
 @each("change", {"no prestress": None, "prestress": scaled_diagonal(1.02)})
-def test_projection(kind, q, change, torn_grid, parts):
+def test_projection(kind, q, change, torn_grid, create_dual):
     """G = B E, N = GᵀQG + D; P² = P and GᵀP = 0 for D = 0; s₀ = N⁻¹ Eᵀf, Gᵀ Q G s₀ + D s₀ = Eᵀf."""
     problem = torn_grid((3, 2), (2, 2), components=2, change=change)
-    formulation = parts(problem.A, type=kind, coarse_q=q)
+    formulation = create_dual(problem.A, type=kind, coarse_q=q)
     coarse = formulation.coarse
     B = dense(formulation.pattern.gluing.B)
     n = formulation.torn.n
@@ -62,19 +62,19 @@ def test_projection(kind, q, change, torn_grid, parts):
         agree(np.abs(D).max() > 0.0)
 
 
-def test_coarse_matrix_couples_neighbours_only(torn_grid, parts):
+def test_coarse_matrix_couples_neighbours_only(torn_grid, create_dual):
     """In a row of subdomains N is block tridiagonal for Q = I, wider by one for Q = M."""
     problem = torn_grid((8,), (3,))
     for q, width in (("identity", 1), ("diagonal", 1), ("preconditioner", 3)):
-        N = parts(problem.A, coarse_q=q).coarse.N
+        N = create_dual(problem.A, coarse_q=q).coarse.N
         rows, columns = np.nonzero(dense(N))
         agree(np.abs(rows - columns).max() <= width, q)
         agree(N.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"] <= 8 * (2 * width + 1))
 
 
 @pytest.mark.processes(1, 2, 3, 4, 8)
-def test_no_kernel_at_all(torn_grid, parts):
+def test_no_kernel_at_all(torn_grid, create_dual):
     """All subdomains touch the Dirichlet boundary: the coarse problem is empty."""
-    coarse = parts(torn_grid((1, 4), (2, 2), components=2).A, type="classical").coarse
+    coarse = create_dual(torn_grid((1, 4), (2, 2), components=2).A, type="classical").coarse
     agree(coarse.N_c == 0 and coarse.solve(np.zeros(0)).shape == (0,))
     agree(coarse.solver.inertia() == (0, 0))

@@ -31,10 +31,10 @@ def random(n):
 
 @every_type
 @every_interior
-def test_galerkin_matrix_and_projection(kind, interior, torn_grid, form):
+def test_galerkin_matrix_and_projection(kind, interior, torn_grid, create_primal):
     """A₀ = Vᵀ A V in a basis of unit energy; Π V = 0 and Vᵀ A Π = 0."""
     problem = torn_grid(**GRID)
-    primal = form(problem, type=kind, interior=interior, coarse_modes=2)
+    primal = create_primal(problem, type=kind, interior=interior, coarse_modes=2)
     exact = primal_form.reference(problem, primal)
     space = primal.coarse
     copies = primal.system.copies
@@ -53,26 +53,26 @@ def test_galerkin_matrix_and_projection(kind, interior, torn_grid, form):
     equal(exact.V.T @ exact.A @ start, exact.V.T @ (exact.average @ whole(r)), 1e-9)
 
 
-def test_projection_in_single_precision(torn_grid, form, monkeypatch):
+def test_projection_in_single_precision(torn_grid, create_primal, monkeypatch):
     """A V is stored in single precision; A₀ stays as it is."""
     problem = torn_grid(**GRID)
-    double = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
+    double = create_primal(problem, type="all_floating", interior="eliminate", coarse_modes=2)
     monkeypatch.undo()
-    single = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
+    single = create_primal(problem, type="all_floating", interior="eliminate", coarse_modes=2)
     agree(all(Y.dtype == np.float32 for Y in single.coarse.VtA.Y_transposed))
     equal(dense(single.coarse.A_0), dense(double.coarse.A_0), 1e-12)
     copies = double.system.copies
     z = copies.average(random(copies.size))
     r = copies.sum(random(copies.size))
-    guesses = [form.coarse.initial_guess(r) for form in (single, double)]
+    guesses = [create_primal.coarse.initial_guess(r) for create_primal in (single, double)]
     equal(*guesses, 1e-7)
     equal(single.coarse.correct(z, r), double.coarse.correct(z, r), 1e-6)
 
 
-def test_dependent_columns_are_dropped(torn_grid, form):
+def test_dependent_columns_are_dropped(torn_grid, create_primal):
     """Columns that come twice, zero ones and large ones do no harm."""
     problem = torn_grid(**GRID)
-    plain = form(problem, type="all_floating", interior="eliminate", coarse_modes=2)
+    plain = create_primal(problem, type="all_floating", interior="eliminate", coarse_modes=2)
 
     def again(setup, copies):
         columns = []
@@ -81,7 +81,9 @@ def test_dependent_columns_are_dropped(torn_grid, form):
             columns.append(np.hstack([1e5 * (U_i + noise), 0.0 * U_i[:, :1]]))
         return columns
 
-    space = form(problem, again, type="all_floating", interior="eliminate", coarse_modes=2).coarse
+    space = create_primal(
+        problem, again, type="all_floating", interior="eliminate", coarse_modes=2
+    ).coarse
     agree(space.N_c - space.A_0.getSize()[0] == plain.coarse.N_c + 6)
     agree(plain.coarse.A_0.getSize()[0] == plain.coarse.N_c and space.negative_eigenvalues == 0)
     copies = plain.system.copies
@@ -105,7 +107,7 @@ def corner_columns(copies, *, has_one_contributor):
     return [np.eye(rows.stop - rows.start)[:, contributes[rows]] for rows in copies.rows]
 
 
-def test_columns_of_corner_dofs(torn_grid, form):
+def test_columns_of_corner_dofs(torn_grid, create_primal):
     """Π vanishes on a displacement of the corners; each repetition of a column is a zero pivot."""
     problem = torn_grid(**GRID)
     zero_energies = []
@@ -114,7 +116,9 @@ def test_columns_of_corner_dofs(torn_grid, form):
         def corners(setup, copies, has_one_contributor=has_one_contributor):
             return corner_columns(copies, has_one_contributor=has_one_contributor)
 
-        primal = form(problem, corners, type="all_floating", interior="eliminate", coarse_modes=0)
+        primal = create_primal(
+            problem, corners, type="all_floating", interior="eliminate", coarse_modes=0
+        )
         space = primal.coarse
         copies = space.V.copies
         multiplicity = multiplicity_of_rows(copies)
@@ -129,11 +133,11 @@ def test_columns_of_corner_dofs(torn_grid, form):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02], ids=["definite", "indefinite"])
-def test_solver_that_does_not_count_pivots(share, torn_grid, form):
+def test_solver_that_does_not_count_pivots(share, torn_grid, create_primal):
     """Then nothing is known before the iterations."""
     problem = torn_grid((2, 2), (4, 4), components=2, change=softened(share))
     with inserted(PREFIX, {"pc_factor_mat_solver_type": "petsc"}):
-        primal = form(problem, type="classical", interior="eliminate", coarse_modes=0)
+        primal = create_primal(problem, type="classical", interior="eliminate", coarse_modes=0)
     agree(primal.coarse.negative_eigenvalues is None)
     agree(not primal.system.deflation.is_indefinite)
 
@@ -208,7 +212,7 @@ def test_many_subdomains():
 
 
 @pytest.mark.processes(1)
-def test_jumps_across_many_subdomains(torn_grid, feti):
+def test_jumps_across_many_subdomains(torn_grid, create_ksp):
     """A checkerboard of three by three cells on 83² subdomains of two by two."""
 
     def change(K, dofs):
@@ -222,7 +226,7 @@ def test_jumps_across_many_subdomains(torn_grid, feti):
             K[n] = brick((2, 2), 2, stiffness)[1]
 
     problem = torn_grid((83, 83), (2, 2), components=2, change=change)
-    ksp = feti(problem.A)
+    ksp = create_ksp(problem.A)
     reason, _ = solve(ksp, problem, random_values(problem))
     context = ksp.getPythonContext()
     agree(reason > 0 and context.message == "", context.message)

@@ -253,8 +253,10 @@ ERROR = "leaves a backward error"
         (ERROR, {"pc_type": "none", "ksp_type": "cg", "ksp_rtol": 1e-2}),
     ],
 )
-def test_set_up_finds_a_coarse_solver_that_does_not_solve(message, options, torn_grid, feti):
+def test_set_up_finds_a_coarse_solver_that_does_not_solve(message, options, torn_grid, create_ksp):
     """An inaccurate coarse solver is noticed before the first iteration."""
     A = torn_grid((3, 2), (2, 2), components=2).A
-    context = feti(A, **{f"feti_coarse_{key}": o for key, o in options.items()}).getPythonContext()
+    context = create_ksp(
+        A, **{f"feti_coarse_{key}": o for key, o in options.items()}
+    ).getPythonContext()
     agree(message in context.message and not context.singular, context.message)

@@ -32,10 +32,10 @@ def jumps(torn_grid, scale):
 
 @every_method
 @jumping
-def test_every_method_shows_the_assembled_residual(method, scale, torn_grid, feti):
+def test_every_method_shows_the_assembled_residual(method, scale, torn_grid, create_ksp):
     """The first norm is the true one, and so is the last one, which ends the solve."""
     problem = jumps(torn_grid, scale)
-    ksp = feti(
+    ksp = create_ksp(
         problem.A,
         feti_formulation="dual",
         feti_dual_ksp_type=method,
@@ -47,7 +47,9 @@ def test_every_method_shows_the_assembled_residual(method, scale, torn_grid, fet
     reason, x = solve(ksp, problem, values)
     norms = ksp.getConvergenceHistory()
     agree(reason > 0, ksp.getPythonContext().message)
-    reference = feti(problem.A, feti_formulation="dual", feti_scaling="multiplicity", ksp_rtol=RTOL)
+    reference = create_ksp(
+        problem.A, feti_formulation="dual", feti_scaling="multiplicity", ksp_rtol=RTOL
+    )
     reference.setConvergenceHistory(length=1000)
     solve(reference, problem, values)
     small(norms[0] / reference.getConvergenceHistory()[0] - 1.0, 1e-6)
@@ -65,12 +67,12 @@ def said(error):
 
 @every_method
 @pytest.mark.parametrize("norm", ["unpreconditioned", "natural", "preconditioned"])
-def test_every_norm_a_method_has_is_right(method, norm, torn_grid, feti):
+def test_every_norm_a_method_has_is_right(method, norm, torn_grid, create_ksp):
     """PETSc refuses some pairs by their names; the others solve."""
     problem = jumps(torn_grid, 1.0)
     options = {"feti_dual_ksp_type": method, "feti_dual_ksp_norm_type": norm, "ksp_rtol": RTOL}
     try:
-        context = solved(feti(problem.A, feti_formulation="dual", **options), problem)
+        context = solved(create_ksp(problem.A, feti_formulation="dual", **options), problem)
     except PETSc.Error as error:
         agree("does not support norm type" in said(error), said(error))
     else:
@@ -124,20 +126,22 @@ HUGE = {
 
 @pytest.mark.parametrize("options", HUGE.values(), ids=HUGE)
 def test_no_memory_is_reserved_for_iterations_that_are_not_taken(
-    options, little_memory, torn_grid, feti
+    options, little_memory, torn_grid, create_ksp
 ):
     problem = torn_grid(**GRID)
-    solved(feti(problem.A, **{"feti_formulation": "dual", "ksp_rtol": RTOL, **options}), problem)
+    solved(
+        create_ksp(problem.A, **{"feti_formulation": "dual", "ksp_rtol": RTOL, **options}), problem
+    )
 
 
-def test_iterations_beyond_those_of_one_run(torn_grid, feti, monkeypatch):
+def test_iterations_beyond_those_of_one_run(torn_grid, create_ksp, monkeypatch):
     """A fresh start follows each run of PETSc's method, and the user's limit holds."""
     monkeypatch.setattr("dolfinx_feti.feti.dual.krylov.MAX_ITERATIONS_OF_RUN", 8)
     problem = jumps(torn_grid, 1.0)
     options = {"feti_formulation": "dual", "feti_scaling": "multiplicity", "ksp_rtol": 1e-8}
-    context = solved(feti(problem.A, **options), problem, 1e-6)
+    context = solved(create_ksp(problem.A, **options), problem, 1e-6)
     agree(context.iterations > 8, context.iterations)
-    limited = feti(problem.A, ksp_max_it=12, **options)
+    limited = create_ksp(problem.A, ksp_max_it=12, **options)
     reason, _ = solve(limited, problem, random_values(problem))
     agree(reason == PETSc.KSP.ConvergedReason.DIVERGED_MAX_IT, reason)
     agree(limited.getIterationNumber() == 12, limited.getIterationNumber())

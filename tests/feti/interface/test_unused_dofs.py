@@ -53,10 +53,10 @@ def with_unused_nodes(body, unused, lifetime, *, prescribed):
 @every_formulation
 @every_place
 @every_body
-def test_refused_on_all_processes(body, unused, formulation, lifetime, feti):
+def test_refused_on_all_processes(body, unused, formulation, lifetime, create_ksp):
     """The message has the number of the first one and what helps."""
     problem, is_unused = with_unused_nodes(body, unused, lifetime, prescribed=False)
-    ksp = feti(problem.A, feti_formulation=formulation)
+    ksp = create_ksp(problem.A, feti_formulation=formulation)
     reason, _ = solve(ksp, problem, random_values(problem))
     message = ksp.getPythonContext().message
     agree(reason == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED, reason)
@@ -68,7 +68,7 @@ def test_refused_on_all_processes(body, unused, formulation, lifetime, feti):
 
 
 @every_formulation
-def test_a_torn_dof_without_entries_is_refused(formulation, torn_grid, lifetime, feti):
+def test_a_torn_dof_without_entries_is_refused(formulation, torn_grid, lifetime, create_ksp):
     """A local numbering may have rows that no element of the subdomain has filled."""
     plain = torn_grid((2, 2), (2, 1))
     n = len(plain.x)
@@ -78,7 +78,7 @@ def test_a_torn_dof_without_entries_is_refused(formulation, torn_grid, lifetime,
     blocks = [*plain.K, np.zeros((1, 1))]
     dofs = [*plain.dofs, np.array([n])]
     problem = lifetime.own(tear(blocks, dofs, x, modes, dirichlet, entries=True))
-    ksp = feti(problem.A, feti_formulation=formulation)
+    ksp = create_ksp(problem.A, feti_formulation=formulation)
     reason, _ = solve(ksp, problem, random_values(problem))
     message = ksp.getPythonContext().message
     agree(reason == PETSc.KSP.ConvergedReason.DIVERGED_PCSETUP_FAILED, reason)
@@ -89,10 +89,10 @@ def test_a_torn_dof_without_entries_is_refused(formulation, torn_grid, lifetime,
 @every_type
 @every_place
 @every_body
-def test_a_prescribed_one_has_its_value(body, unused, kind, formulation, lifetime, feti):
+def test_a_prescribed_one_has_its_value(body, unused, kind, formulation, lifetime, create_ksp):
     problem, is_unused = with_unused_nodes(body, unused, lifetime, prescribed=True)
     values = random_values(problem)
-    ksp = feti(problem.A, feti_type=kind, feti_formulation=formulation, ksp_rtol=1e-11)
+    ksp = create_ksp(problem.A, feti_type=kind, feti_formulation=formulation, ksp_rtol=1e-11)
     reason, x = solve(ksp, problem, values)
     agree(reason > 0, ksp.getPythonContext().message)
     equal(x[is_unused], values[is_unused])
@@ -100,10 +100,10 @@ def test_a_prescribed_one_has_its_value(body, unused, kind, formulation, lifetim
 
 
 @every_place
-def test_refused_beside_scalars(unused, lifetime, feti):
+def test_refused_beside_scalars(unused, lifetime, create_ksp):
     """The search for free rigid motions, before the set-up, takes them, too."""
     problem, _ = with_unused_nodes(BODIES["elasticity"], unused, lifetime, prescribed=False)
-    ksp = feti(problem.A)
+    ksp = create_ksp(problem.A)
     solver = BorderedSolver()
     rows = slice(*problem.A.getOwnershipRange())
     b = random_values(problem)

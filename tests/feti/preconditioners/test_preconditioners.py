@@ -62,11 +62,11 @@ def matrix(formulation):
 @every_state
 @every_interior
 def test_preconditioner_is_the_weighted_one(
-    grid, kind, pc_type, change, interior, torn_grid, parts
+    grid, kind, pc_type, change, interior, torn_grid, create_dual
 ):
     """M = B_D Y B_Dᵀ ⪰ 0; M G s, Gᵀ M r and Gᵀ M G of the blocks; force of a jump: no props."""
     problem = torn_grid(change=change, **grid)
-    formulation = parts(problem.A, type=kind, pc_type=pc_type, interior=interior)
+    formulation = create_dual(problem.A, type=kind, pc_type=pc_type, interior=interior)
     pc = formulation.preconditioner
     coarse = formulation.coarse
     G = dense(formulation.coarse.G)
@@ -113,10 +113,10 @@ def constraint(system):
 @every_type
 @every_change
 @every_interior
-def test_operator(grid, kind, change, interior, torn_grid, parts):
+def test_operator(grid, kind, change, interior, torn_grid, create_dual):
     """F λ − G s for (λ, s); F = B K⁺ Bᵀ = Fᵀ, on balanced λ with the Moore–Penrose inverse."""
     problem = torn_grid(change=change, **grid)
-    formulation = parts(problem.A, type=kind, interior=interior)
+    formulation = create_dual(problem.A, type=kind, interior=interior)
     dual = formulation.system
     G = dense(formulation.coarse.G)
     F = matrix_of_map(dual.flexibility, dual.m)
@@ -140,10 +140,10 @@ def test_operator(grid, kind, change, interior, torn_grid, parts):
 @every_change
 @pytest.mark.parametrize("pc_type", ["dirichlet", "identity"])
 def test_constraint_preconditioner_is_the_inverse_it_stands_for(
-    grid, q, change, pc_type, torn_grid, parts, lifetime
+    grid, q, change, pc_type, torn_grid, create_dual, lifetime
 ):
     """Its image is balanced, Gᵀz_λ + D z_s = 0, and equals P M Pᵀ r for D = 0."""
-    formulation = parts(torn_grid(change=change, **grid).A, pc_type=pc_type, coarse_q=q)
+    formulation = create_dual(torn_grid(change=change, **grid).A, pc_type=pc_type, coarse_q=q)
     M = matrix(formulation)
     if formulation.coarse.MG is not None:
         M += np.diag(whole(formulation.coarse.q.array_r))
@@ -176,9 +176,9 @@ def test_constraint_preconditioner_is_the_inverse_it_stands_for(
 
 
 @every_q
-def test_preconditioner_waits_for_no_norm(q, torn_grid, parts, monkeypatch):
+def test_preconditioner_waits_for_no_norm(q, torn_grid, create_dual, monkeypatch):
     """The norm of the assembled residual travels with the coarse right-hand side, if it can."""
-    dual = parts(torn_grid(**GRIDS["elasticity"]).A, type="all_floating", coarse_q=q).system
+    dual = create_dual(torn_grid(**GRIDS["elasticity"]).A, type="all_floating", coarse_q=q).system
     r = np.random.default_rng(744 + COMM.rank).standard_normal(dual.m)
     expected = dual.assembled_norm(r)
     calls = []

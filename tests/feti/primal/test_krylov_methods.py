@@ -23,9 +23,9 @@ every_method = pytest.mark.parametrize(
 
 
 @pytest.fixture
-def system(torn_grid, form):
+def system(torn_grid, create_primal):
     """Make the assembled interface operator of a grid, with its preconditioner."""
-    return form(torn_grid(**GRID)).system
+    return create_primal(torn_grid(**GRID)).system
 
 
 def run(method, system, f, *, target=1e-10, max_it=200):

@@ -56,10 +56,10 @@ def solution(problem, primal, values):
 @every_change
 @every_type
 @every_interior
-def test_operator_and_preconditioner(change, kind, interior, torn_grid, form):
+def test_operator_and_preconditioner(change, kind, interior, torn_grid, create_primal):
     """A = Tᵀ S T and Π Tᵀ δ K_ρ⁻¹ δ T + V A₀⁻¹ Vᵀ, as they are defined; and the solution."""
     problem = torn_grid(change=change, **GRID)
-    primal = form(problem, type=kind, interior=interior, coarse_modes=2)
+    primal = create_primal(problem, type=kind, interior=interior, coarse_modes=2)
     exact = primal_form.reference(problem, primal)
     system = primal.system
     n = primal.system.copies.size
@@ -75,10 +75,10 @@ def test_operator_and_preconditioner(change, kind, interior, torn_grid, form):
 @every_type
 @every_interior
 @pytest.mark.parametrize("modes", [0, 3])
-def test_spectrum(kind, interior, modes, torn_grid, form, parts):
+def test_spectrum(kind, interior, modes, torn_grid, create_primal, create_dual):
     """Without prestress: none below one, and beyond one the eigenvalues of the dual method."""
     problem = torn_grid(**GRID)
-    primal = form(problem, type=kind, interior=interior, coarse_modes=modes)
+    primal = create_primal(problem, type=kind, interior=interior, coarse_modes=modes)
     exact = primal_form.reference(problem, primal)
     balanced = np.linalg.eigvals(exact.preconditioner @ exact.A).real
     primal_values = np.sort(balanced[balanced > 1e-6])
@@ -86,7 +86,7 @@ def test_spectrum(kind, interior, modes, torn_grid, form, parts):
     agree(primal_values.min() >= 1.0 - 1e-9)
     if modes:
         return  # soft modes have D ≠ 0
-    formulation = parts(problem.A, type=kind, interior=interior, coarse_modes=modes)
+    formulation = create_dual(problem.A, type=kind, interior=interior, coarse_modes=modes)
     F = matrix_of_map(formulation.system.flexibility, formulation.system.m)
     M = matrix_of_map(lambda x: formulation.preconditioner.apply(x)[0], formulation.system.m)
     G = dense(formulation.coarse.G)
@@ -99,10 +99,10 @@ def test_spectrum(kind, interior, modes, torn_grid, form, parts):
 @pytest.mark.parametrize(
     ("share", "proved"), [(0.002, 0), (0.02, 3)], ids=["met by CG", "told by the coarse space"]
 )
-def test_negative_curvature(share, proved, torn_grid, form):
+def test_negative_curvature(share, proved, torn_grid, create_primal):
     """An indefinite matrix is reported, although K_ρ is definite."""
     problem = torn_grid((2, 2), (4, 4), components=2, change=softened(share))
-    primal = form(problem, type="all_floating", interior="eliminate", coarse_modes=0)
+    primal = create_primal(problem, type="all_floating", interior="eliminate", coarse_modes=0)
     exact = primal_form.reference(problem, primal)
     agree(np.linalg.eigvalsh(exact.A)[0] < 0.0 < np.linalg.eigvalsh(exact.S_ρ)[0])
     agree(primal.coarse.negative_eigenvalues == proved)
@@ -110,27 +110,27 @@ def test_negative_curvature(share, proved, torn_grid, form):
     agree(outcome.reason == Reason.DIVERGED_INDEFINITE_MAT)
 
 
-def test_ritz_values(torn_grid, form):
+def test_ritz_values(torn_grid, create_primal):
     """The coefficients of conjugate gradients tell the spectrum."""
     problem = torn_grid((2, 2), (2, 2), components=2)
-    primal = form(problem, type="all_floating", interior="keep", coarse_modes=0)
+    primal = create_primal(problem, type="all_floating", interior="keep", coarse_modes=0)
     exact = primal_form.reference(problem, primal)
     values = np.linalg.eigvals(exact.preconditioner @ exact.A).real
     _, found = primal_form.cg(primal.system, random_part(primal.system.copies.size), rtol=1e-13)
     equal(found.ritz_values, [values[values > 1e-6].min(), values.max()], 1e-6)
 
 
-def test_no_subdomain_left_for_a_process(torn_grid, form):
+def test_no_subdomain_left_for_a_process(torn_grid, create_primal):
     """One subdomain has no interface: there is nothing to iterate for."""
     problem = torn_grid((1, 1), (3, 2), components=2)
-    primal = form(problem, type="classical", interior="keep")
+    primal = create_primal(problem, type="classical", interior="keep")
     agree(solution(problem, primal, np.ones(len(problem.dirichlet))).iterations == 0)
 
 
-def test_copies_agree_to_the_last_bit(torn_grid, form):
+def test_copies_agree_to_the_last_bit(torn_grid, create_primal):
     """Each copy gets the same sum, in whatever order the processes answer."""
     problem = torn_grid((2, 2, 2), (2, 2, 2))
-    primal = form(problem)
+    primal = create_primal(problem)
     copies = primal.system.copies
     t = np.random.default_rng(SEED + COMM.rank).standard_normal(copies.size)
     total = whole(copies.sum(t))
@@ -145,12 +145,12 @@ WIDE = case((3, 2), (3, 3), 2)
 
 
 @pytest.fixture
-def general_form(pattern, lifetime, double_products, monkeypatch):
+def general_form(read_pattern, lifetime, double_precision_products, monkeypatch):
     """Make the primal form of a torn matrix that is not symmetric, in double precision."""
     monkeypatch.setattr("dolfinx_feti.feti.subdomain.scaled.MAX_SINGLE_PRECISION_ERROR", 0.0)
 
     def create(problem, vectors=None, **options):
-        read = pattern(problem.A, formulation="primal", interior="auto", **options)
+        read = read_pattern(problem.A, formulation="primal", interior="auto", **options)
         S = set_up_operator(read, lifetime)
         preconditioner = create_symmetric_part_preconditioner(read, lifetime)
         return create_primal_formulation(
@@ -211,11 +211,11 @@ def test_operator_and_preconditioner_of_an_unsymmetric_matrix(kind, torn_grid, g
 
 
 @pytest.mark.parametrize("solver", ["mumps", "petsc"])
-def test_transposed_products(solver, torn_grid, pattern, lifetime):
+def test_transposed_products(solver, torn_grid, read_pattern, lifetime):
     """Sᵀ X of every subdomain, for all columns at once, and K_II⁻ᵀ."""
     problem = torn_grid(change=unsymmetric(0.1), **WIDE)
     with inserted("test_feti_dirichlet_", {"pc_factor_mat_solver_type": solver}):
-        read = pattern(problem.A, formulation="primal", interior="auto")
+        read = read_pattern(problem.A, formulation="primal", interior="auto")
         S = set_up_operator(read, lifetime)
     for S_i in S.blocks:
         n = len(S_i.subdomain.interface)
@@ -252,12 +252,12 @@ def test_least_residuals(count, torn_grid, general_form):
         small(np.abs(COMM.allreduce(W.T @ (δ * r[:, None]))).max(initial=0.0), 1e-8 * norms[0])
 
 
-def test_symmetric_matrix_takes_the_iterations_of_cg(torn_grid, feti, general_form):
+def test_symmetric_matrix_takes_the_iterations_of_cg(torn_grid, create_ksp, general_form):
     """A skew part of 1e-8 makes GMRES of CG."""
     counts = []
     for share in (0.0, 1e-8):
         problem = torn_grid(change=unsymmetric(share, skew=True), **WIDE)
-        ksp = feti(problem.A, feti_formulation="primal")
+        ksp = create_ksp(problem.A, feti_formulation="primal")
         agree(solve(ksp, problem, random_values(problem))[0] > 0)
         agree(ksp.getPythonContext().method == ("gmres" if share else "cg"))
         counts.append(ksp.getIterationNumber())
@@ -267,10 +267,10 @@ def test_symmetric_matrix_takes_the_iterations_of_cg(torn_grid, feti, general_fo
 @every_type
 @pytest.mark.parametrize("skew", [True, False], ids=["skew", "indefinite"])
 @pytest.mark.parametrize("share", [0.01, 0.3, 3.0])
-def test_against_lu(share, skew, kind, torn_grid, feti):
+def test_against_lu(share, skew, kind, torn_grid, create_ksp):
     """Up to matrices that are random but for a pattern; ``auto`` takes the primal form."""
     problem = torn_grid(change=unsymmetric(share, skew=skew), **WIDE)
-    context = solved(feti(problem.A, feti_type=kind, ksp_rtol=1e-11), problem)
+    context = solved(create_ksp(problem.A, feti_type=kind, ksp_rtol=1e-11), problem)
     agree(context.message == "" and context.method == "gmres", context.message)
     report = context.report()
     agree((report.formulation, report.interior) == ("primal", "kept"), report)
@@ -279,25 +279,25 @@ def test_against_lu(share, skew, kind, torn_grid, feti):
 
 @pytest.mark.parametrize("components", [1, 2])
 @pytest.mark.parametrize("scaling", ["stiffness", "multiplicity"])
-def test_unsymmetric_pattern(scaling, components, torn_grid, feti):
+def test_unsymmetric_pattern(scaling, components, torn_grid, create_ksp):
     """Entries without a mirror: ½ (K + Kᵀ) has another pattern than K, and other rows."""
     problem = torn_grid((3, 2), (7, 7), components=components, change=one_sided(0.02))
-    context = solved(feti(problem.A, feti_scaling=scaling, ksp_rtol=1e-11), problem)
+    context = solved(create_ksp(problem.A, feti_scaling=scaling, ksp_rtol=1e-11), problem)
     agree(context.method == "gmres" and context.iterations < 25, context.iterations)
 
 
-def test_fresh_starts(torn_grid, feti, monkeypatch):
+def test_fresh_starts(torn_grid, create_ksp, monkeypatch):
     """A few vectors are enough where fresh starts follow; where none does, the message says so."""
     monkeypatch.setattr(gmres_module, "GMRES_DIRECTIONS", 8)
     problem = torn_grid(change=unsymmetric(0.1, skew=True), **WIDE)
-    ksp = feti(problem.A, ksp_rtol=1e-10)
+    ksp = create_ksp(problem.A, ksp_rtol=1e-10)
     agree(solved(ksp, problem, 1e-7).iterations > 8)
     monkeypatch.setattr("dolfinx_feti.feti.outer_loop.MAX_FRESH_STARTS", 0)
     agree(solve(ksp, problem, random_values(problem))[0] == Reason.DIVERGED_BREAKDOWN)
     agree("stagnates" in ksp.getPythonContext().message)
 
 
-def test_singular_symmetric_part(torn_grid, feti):
+def test_singular_symmetric_part(torn_grid, create_ksp):
     """An interior dof is held only by a skew part: the message suggests other subdomains."""
 
     def change(K, dofs):
@@ -306,7 +306,7 @@ def test_singular_symmetric_part(torn_grid, feti):
         K[0][j, j] = 0.0
 
     problem = torn_grid(change=change, **WIDE)
-    ksp = feti(problem.A)
+    ksp = create_ksp(problem.A)
     agree(solve(ksp, problem, random_values(problem))[0] == Reason.DIVERGED_PCSETUP_FAILED)
     context = ksp.getPythonContext()
     agree("symmetric part" in context.message and "other subdomains" in context.message)

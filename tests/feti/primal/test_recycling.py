@@ -37,9 +37,9 @@ every_change = each("change", {"no prestress": None, "compression": SOFTENED})
 
 
 @pytest.fixture
-def form(form):
+def create_primal(create_primal):
     """Make the primal form of a problem without soft modes."""
-    return partial(form, coarse_modes=0)
+    return partial(create_primal, coarse_modes=0)
 
 
 def assembled(primal, columns):
@@ -95,9 +95,9 @@ def count_calls(monkeypatch, place, name, calls):
 
 
 @pytest.mark.parametrize("count", [0, 5])
-def test_iteration_waits_three_times(count, monkeypatch, torn_grid, form):
+def test_iteration_waits_three_times(count, monkeypatch, torn_grid, create_primal):
     """Once in the coarse problem, and twice for scalar products, with Ritz vectors or without."""
-    primal = form(torn_grid(**GRID))
+    primal = create_primal(torn_grid(**GRID))
     W = assembled(primal, 5)[:, :count]
     _, system = deflated(primal, primal.system, DeflationVectors(W, W))
     f = random_part(primal.system.copies.size, seed=7)
@@ -115,9 +115,9 @@ def test_iteration_waits_three_times(count, monkeypatch, torn_grid, form):
 
 @every_change
 @every_interior
-def test_start_and_projection(change, interior, torn_grid, form):
+def test_start_and_projection(change, interior, torn_grid, create_primal):
     """Residuals are orthogonal to V and W from the start on, directions A-orthogonal to both."""
-    primal = form(torn_grid(change=change, **GRID), interior=interior)
+    primal = create_primal(torn_grid(change=change, **GRID), interior=interior)
     W = assembled(primal, 5)
     space, system = deflated(primal, primal.system, DeflationVectors(W, W))
     agree(space.count == 5)
@@ -135,9 +135,9 @@ def test_start_and_projection(change, interior, torn_grid, form):
 
 @every_change
 @pytest.mark.parametrize("first", [200, 7], ids=["all iterations", "a few"])
-def test_ritz_vectors(change, first, torn_grid, form):
+def test_ritz_vectors(change, first, torn_grid, create_primal):
     """W = Π_V M Q, Wᵀ Q = I, and W diagonalises A; also where an earlier W was deflated."""
-    primal = form(torn_grid(change=change, **GRID), interior="eliminate")
+    primal = create_primal(torn_grid(change=change, **GRID), interior="eliminate")
     slow = slowed(primal)
     f = random_part(primal.system.copies.size, seed=7)
     exact = np.linalg.eigvals(
@@ -164,9 +164,9 @@ def test_ritz_vectors(change, first, torn_grid, form):
     agree(W.shape[1] == len(exact) and np.all(np.diag(θ) > 0.99 * exact), (np.diag(θ), exact))
 
 
-def test_nothing_to_learn_from(torn_grid, form):
+def test_nothing_to_learn_from(torn_grid, create_primal):
     """A solve of no iteration leaves what it was given, and one that ends in NaN, too."""
-    primal = form(torn_grid(**GRID), interior="eliminate")
+    primal = create_primal(torn_grid(**GRID), interior="eliminate")
     W = assembled(primal, 3)
     n = primal.system.copies.size
     for vectors in (None, DeflationVectors(W, W)):
@@ -176,9 +176,9 @@ def test_nothing_to_learn_from(torn_grid, form):
             agree(recycled.W.shape == recycled.M_inverse_W.shape == (n, space.count))
 
 
-def test_dependent_directions(torn_grid, form):
+def test_dependent_directions(torn_grid, create_primal):
     """Directions that repeat others, or lie in V, change nothing."""
-    primal = form(torn_grid(change=SOFTENED, **GRID), interior="eliminate")
+    primal = create_primal(torn_grid(change=SOFTENED, **GRID), interior="eliminate")
     w = assembled(primal, 1)[:, 0]
     f = random_part(primal.system.copies.size, seed=7)
     v = primal.coarse.initial_guess(primal.system.copies.sum(f))  # in V
@@ -191,10 +191,10 @@ def test_dependent_directions(torn_grid, form):
     equal(whole(x), whole(expected), 1e-8)
 
 
-def test_negative_curvature(torn_grid, form):
+def test_negative_curvature(torn_grid, create_primal):
     """What W knows of an indefinite matrix ends a solve before its first iteration."""
     problem = torn_grid((2, 2), (4, 4), components=2, change=softened(0.002))
-    primal = form(problem, interior="eliminate")
+    primal = create_primal(problem, interior="eliminate")
     agree(primal.coarse.negative_eigenvalues == 0)
     f = random_part(primal.system.copies.size)
     exact = primal_form.reference(problem, primal)
@@ -208,9 +208,9 @@ def test_negative_curvature(torn_grid, form):
 
 
 @every_interior
-def test_soft_fields(interior, torn_grid, form):
+def test_soft_fields(interior, torn_grid, create_primal):
     """W = M Q, Q in the range of A V, Wᵀ Q = I; they raise the least eigenvalue."""
-    primal = form(torn_grid(**GRID, change=SOFTENED), interior=interior)
+    primal = create_primal(torn_grid(**GRID, change=SOFTENED), interior=interior)
     S = primal.operator
     copies = primal.system.copies
     system = primal.system

@@ -74,10 +74,10 @@ def scaled_solution(problem, b):
 @every_tearing
 @pytest.mark.parametrize("void", VOIDS)
 @pytest.mark.parametrize("units", [1.0, 1e9])
-def test_voids_are_solved(units, void, subdomains, interior, formulation, frame, feti):
+def test_voids_are_solved(units, void, subdomains, interior, formulation, frame, create_ksp):
     """The load's work agrees with a direct solver's, and islands are where that has them."""
     problem = frame(subdomains, void, units)
-    ksp = feti(problem.A, feti_formulation=formulation, feti_interior=interior)
+    ksp = create_ksp(problem.A, feti_formulation=formulation, feti_interior=interior)
     b = shear(problem)
     reason, x = solve(ksp, problem, b)
     agree(reason > 0, ksp.getPythonContext().message)
@@ -92,10 +92,10 @@ def test_voids_are_solved(units, void, subdomains, interior, formulation, frame,
 @every_interior
 @every_tearing
 @pytest.mark.parametrize("void", [1e-14, 1e-16, 1e-20])
-def test_voids_beyond_rounding(void, subdomains, interior, formulation, frame, feti):
+def test_voids_beyond_rounding(void, subdomains, interior, formulation, frame, create_ksp):
     """What no double precision resolves is solved, or refused for its scales."""
     problem = frame(subdomains, void)
-    ksp = feti(problem.A, feti_formulation=formulation, feti_interior=interior)
+    ksp = create_ksp(problem.A, feti_formulation=formulation, feti_interior=interior)
     b = shear(problem)
     reason, x = solve(ksp, problem, b)
     if reason > 0:
@@ -115,10 +115,10 @@ def test_voids_beyond_rounding(void, subdomains, interior, formulation, frame, f
 
 @every_interior
 @every_tearing
-def test_islands_in_nothing_are_singular(subdomains, interior, frame, feti):
+def test_islands_in_nothing_are_singular(subdomains, interior, frame, create_ksp):
     """The rows of the empty cells are zero: nothing resists their nodes."""
     problem = frame(subdomains, 0.0)
-    ksp = feti(problem.A, feti_formulation="dual", feti_interior=interior)
+    ksp = create_ksp(problem.A, feti_formulation="dual", feti_interior=interior)
     reason, _ = solve(ksp, problem, shear(problem))
     agree(reason == Reason.DIVERGED_PCSETUP_FAILED, reason)
     agree("singular" in ksp.getPythonContext().message, ksp.getPythonContext().message)

@@ -81,10 +81,10 @@ FREE = {
 }
 
 
-def check(parts, A, dimension, text, **options):
+def check(create_dual, A, dimension, text, **options):
     """Assert that all processes raise an error with this dimension and these words."""
     with pytest.raises(SingularError) as caught:
-        parts(A, **options)
+        create_dual(A, **options)
     said = str(caught.value)
     agree(f"singular, with a kernel of dimension {dimension}:" in said, said)
     agree(re.search(text, said) and "Add Dirichlet conditions" in said, said)
@@ -93,28 +93,28 @@ def check(parts, A, dimension, text, **options):
 @every_type
 @every_interior
 @each(("grid", "dimension", "text"), FREE)
-def test_body_that_moves_as_a_whole(grid, dimension, text, kind, interior, torn_grid, parts):
+def test_body_that_moves_as_a_whole(grid, dimension, text, kind, interior, torn_grid, create_dual):
     problem = torn_grid(**grid)
     null = scipy.linalg.null_space(problem.free_matrix, rcond=1e-12)
     agree(null.shape[1] == dimension, null.shape)
-    check(parts, problem.A, dimension, text, type=kind, interior=interior)
+    check(create_dual, problem.A, dimension, text, type=kind, interior=interior)
 
 
 @every_type
 @pytest.mark.parametrize("coarse_q", ["identity", "diagonal", "preconditioner"])
 @pytest.mark.parametrize("pc_type", ["lumped", "identity", "dirichlet"])
-def test_singular_with_any_coarse_matrix(kind, coarse_q, pc_type, torn_grid, parts):
+def test_singular_with_any_coarse_matrix(kind, coarse_q, pc_type, torn_grid, create_dual):
     """With coordinates and without."""
     problem = torn_grid((3, 2), (2, 2), components=2, fixed=on_plane)
     options = {"type": kind, "coarse_q": coarse_q, "pc_type": pc_type}
-    check(parts, problem.A, 1, "leave 1 translation free", **options)
+    check(create_dual, problem.A, 1, "leave 1 translation free", **options)
     problem.A.compose("coordinates", None)
-    check(parts, problem.A, 1, "leave 1 translation free", **options)
+    check(create_dual, problem.A, 1, "leave 1 translation free", **options)
 
 
 @every_type
 @pytest.mark.parametrize("load", ["dead", "elastic support", "soft support"])
-def test_prestressed_body(load, kind, torn_grid, parts):
+def test_prestressed_body(load, kind, torn_grid, create_dual):
     """Translations stay a kernel while the prestress is the body's own; a support ends that."""
 
     def springs(K, dofs):  # between the nodes, of either sign: rows that sum to zero
@@ -133,14 +133,14 @@ def test_prestressed_body(load, kind, torn_grid, parts):
     count = np.count_nonzero(values < 1e-13 * values.max())
     agree(count == (2 if load == "dead" else 0), np.sort(values)[:4])
     if load == "dead":
-        check(parts, problem.A, 2, "leave 2 translations free", type=kind)
+        check(create_dual, problem.A, 2, "leave 2 translations free", type=kind)
     else:
-        agree(parts(problem.A, type=kind).inertia.dual > 0)
+        agree(create_dual(problem.A, type=kind).inertia.dual > 0)
 
 
 @every_type
 @pytest.mark.parametrize("stiff", [1.0, 1e6, 1e8])
-def test_interior_is_singular_and_the_whole_is_not(stiff, kind, torn_grid, parts):
+def test_interior_is_singular_and_the_whole_is_not(stiff, kind, torn_grid, create_dual):
     """An indefinite tangent, far from an equilibrium: no kernel is claimed that there is not."""
 
     def shift(K, dofs):
@@ -156,7 +156,7 @@ def test_interior_is_singular_and_the_whole_is_not(stiff, kind, torn_grid, parts
     values = np.linalg.eigvalsh(problem.free_matrix)
     agree(values[0] < 0.0 and np.abs(values).min() > 1e-4, values)
     with pytest.raises(SetUpError) as caught:
-        parts(problem.A, type=kind, interior="eliminate")
+        create_dual(problem.A, type=kind, interior="eliminate")
     said = str(caught.value)
     agree("kernel of dimension" not in said and "interior" in said, said)
     agree("other subdomains, or the options feti_interior keep" in said, said)
@@ -234,9 +234,11 @@ LOOSE = {
 @every_type
 @every_interior
 @each(("bricks", "dimension", "text"), LOOSE)
-def test_loose_bodies_and_mechanisms(bricks, dimension, text, kind, interior, torn_bricks, parts):
+def test_loose_bodies_and_mechanisms(
+    bricks, dimension, text, kind, interior, torn_bricks, create_dual
+):
     A = torn_bricks(*bricks).A
-    check(parts, A, dimension, text, type=kind, interior=interior)
+    check(create_dual, A, dimension, text, type=kind, interior=interior)
 
 
 @every_type
@@ -244,11 +246,11 @@ def test_loose_bodies_and_mechanisms(bricks, dimension, text, kind, interior, to
 @every_formulation
 @each(("bricks", "dimension", "text"), LOOSE)
 def test_every_formulation_refuses_what_is_loose(
-    bricks, dimension, text, formulation, kind, interior, torn_bricks, feti
+    bricks, dimension, text, formulation, kind, interior, torn_bricks, create_ksp
 ):
     """The same message, before the first iteration."""
     options = {"feti_type": kind, "feti_interior": interior, "feti_formulation": formulation}
-    context = feti(torn_bricks(*bricks).A, **options).getPythonContext()
+    context = create_ksp(torn_bricks(*bricks).A, **options).getPythonContext()
     agree(context.singular, context.message)
     said = context.message
     agree(f"singular, with a kernel of dimension {dimension}:" in said, said)
@@ -258,7 +260,9 @@ def test_every_formulation_refuses_what_is_loose(
 @every_type
 @every_interior
 @pytest.mark.parametrize("dense", [1000, 5], ids=["all vectors", "inverse iteration"])
-def test_hinge_that_is_held_is_no_mechanism(dense, kind, interior, torn_bricks, feti, monkeypatch):
+def test_hinge_that_is_held_is_no_mechanism(
+    dense, kind, interior, torn_bricks, create_ksp, monkeypatch
+):
     """The hinge in one subdomain is a null vector beyond the rigid ones, and joins them."""
     monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_space.MAX_DOFS_FOR_SVD", dense)
 
@@ -266,7 +270,7 @@ def test_hinge_that_is_held_is_no_mechanism(dense, kind, interior, torn_bricks, 
         return face(x)[:, None] | components(lambda x: np.all(x == 4.0, axis=1), 1)(x)
 
     problem = torn_bricks([*HINGE, (4, 2)], (2, 2), fixed, 2)
-    solved(feti(problem.A, feti_type=kind, feti_interior=interior, ksp_rtol=1e-11), problem)
+    solved(create_ksp(problem.A, feti_type=kind, feti_interior=interior, ksp_rtol=1e-11), problem)
 
 
 # ---- no false alarm -------------------------------------------------------------------------
@@ -285,6 +289,6 @@ HARD = {
 @every_type
 @every_interior
 @each("grid", HARD)
-def test_hard_problems_are_not_singular(grid, kind, interior, torn_grid, parts):
+def test_hard_problems_are_not_singular(grid, kind, interior, torn_grid, create_dual):
     """No error is raised."""
-    parts(torn_grid(**grid).A, type=kind, interior=interior)
+    create_dual(torn_grid(**grid).A, type=kind, interior=interior)

@@ -50,18 +50,18 @@ def fail_on_last(monkeypatch, place, error):
 
 @many
 @each("error", ERRORS)
-def test_every_error_is_one_on_all(error, torn_grid, parts, monkeypatch):
+def test_every_error_is_one_on_all(error, torn_grid, create_dual, monkeypatch):
     fail_on_last(monkeypatch, "mode_search.soft_modes", error)
     A = torn_grid(**GRID).A
     first = min(i for i in range(8) if i * COMM.size // 8 == COMM.size - 1)
     words = str(error[0](error[1])).split("(")[0].strip()
     with raises(SetUpError, rf"failed \(subdomain {first}: .*{words}"):
-        parts(A)
+        create_dual(A)
 
 
 @many
 @every_formulation
-def test_solver_goes_on_when_the_cause_is_gone(formulation, torn_grid, feti, monkeypatch):
+def test_solver_goes_on_when_the_cause_is_gone(formulation, torn_grid, create_ksp, monkeypatch):
     """The failure is a negative reason with a message, and the next set-up succeeds.
 
     Without adaptive columns both formulations look for soft modes.
@@ -69,31 +69,31 @@ def test_solver_goes_on_when_the_cause_is_gone(formulation, torn_grid, feti, mon
     problem = torn_grid(**GRID)
     with monkeypatch.context() as patched:
         fail_on_last(patched, "mode_search.soft_modes", ERRORS["memory"])
-        ksp = feti(problem.A, feti_formulation=formulation, feti_coarse_adaptive=0)
+        ksp = create_ksp(problem.A, feti_formulation=formulation, feti_coarse_adaptive=0)
         agree(solve(ksp, problem, random_values(problem))[0] < 0)
         agree("MemoryError: Unable to allocate" in ksp.getPythonContext().message)
         agree(not ksp.getPythonContext().singular)
     solved(ksp, problem, 1e-5)
 
 
-def test_not_enough_work_space(torn_grid, parts, monkeypatch):
+def test_not_enough_work_space(torn_grid, create_dual, monkeypatch):
     """MUMPS fails for real with too little work space, and gets more of it."""
     monkeypatch.setattr(create, "multifrontal_code", lambda *_: None)
     monkeypatch.setattr(WORK_SPACE, (-99, 50))
     problem = torn_grid((2, 2), (12, 12), components=2)
-    factors = factors_of(parts(problem.A, interior="keep"))
+    factors = factors_of(create_dual(problem.A, interior="keep"))
     agree(all(factor.memory() > 0.0 for factor in factors))
     monkeypatch.setattr(WORK_SPACE, (-99,))
     memory = r"MemoryError: not enough memory or work space .*INFOG\(1\) = -9"
     remedy = r"raise -test_feti_\w+_mat_mumps_icntl_14, .*smaller subdomains"
     with raises(SetUpError, rf"subdomain \d: {memory}.*{remedy}"):
-        parts(problem.A, interior="keep")
+        create_dual(problem.A, interior="keep")
 
 
-def test_memory_is_in_mebibytes(torn_grid, parts, monkeypatch):
+def test_memory_is_in_mebibytes(torn_grid, create_dual, monkeypatch):
     """MUMPS counts in units of 10⁶ bytes, the dense blocks in bytes."""
     monkeypatch.setattr(create, "multifrontal_code", lambda *_: None)
-    system = parts(torn_grid((2, 2), (12, 12), components=2).A, interior="keep")
+    system = create_dual(torn_grid((2, 2), (12, 12), components=2).A, interior="keep")
     factors = factors_of(system)
     agree(all(isinstance(factor, PetscFactor) for factor in factors))
     millions = sum(factor._pc.getFactorMatrix().getMumpsInfog(22) for factor in factors)
@@ -102,19 +102,19 @@ def test_memory_is_in_mebibytes(torn_grid, parts, monkeypatch):
     agree(dense.memory() == 256 * 513 * 8 / 2**20)
 
 
-def test_other_solvers_do_not_tell(torn_grid, parts):
+def test_other_solvers_do_not_tell(torn_grid, create_dual):
     with inserted("test_feti_local_", {"pc_factor_mat_solver_type": "petsc"}):
-        system = parts(torn_grid(**GRID).A, interior="keep", type="classical")
+        system = create_dual(torn_grid(**GRID).A, interior="keep", type="classical")
     counts = [factor.inertia for factor in factors_of(system)]
     agree(len(counts) > 0 and all(count == (None, None) for count in counts), counts)
     agree(system.inverse.negative() is None)
 
 
-def test_interior_that_only_seems_singular(torn_grid, parts, monkeypatch):
+def test_interior_that_only_seems_singular(torn_grid, create_dual, monkeypatch):
     """A badly conditioned one may grow random vectors, and have no null vector all the same."""
     tells = "dolfinx_feti.feti.subdomain.interior.is_numerically_singular"
     monkeypatch.setattr(tells, lambda *_: True)
-    parts(torn_grid(**GRID).A, interior="eliminate")
+    create_dual(torn_grid(**GRID).A, interior="eliminate")
 
 
 # ---- MUMPS runs out of memory ---------------------------------------------------------------

@@ -70,11 +70,11 @@ def blocks(problem, system):
 @pytest.mark.parametrize(("components", "soft"), [(1, 0), (2, 0), (2, 12)])
 @each("change", CHANGES)
 def test_algebra_is_exact_for_any_matrix(
-    change, components, soft, kind, torn_grid, parts, unenriched
+    change, components, soft, kind, torn_grid, create_dual, unenriched
 ):
     """RᵀE = I − D/ρ, K E = R D, and K⁺ is the inverse of K + ρ R Rᵀ, whose inertia is counted."""
     problem = torn_grid((2, 2), (2, 2), components=components, change=change)
-    system = parts(problem.A, type=kind, coarse_modes=soft, coarse_threshold=1.0)
+    system = create_dual(problem.A, type=kind, coarse_modes=soft, coarse_threshold=1.0)
     found = modes_of(system)
     agree((COMM.allreduce(sum(modes.soft_size for modes in system.modes)) > 0) == (soft > 0))
     y = np.random.default_rng(SEED + 2).standard_normal(system.torn.n)
@@ -116,7 +116,7 @@ def crushed(K, dofs):
 
 @every_type
 @each("change", {"crushed": crushed, **{name: CHANGES[name] for name in ("softening", "random")}})
-def test_buckling_modes_join_the_kernel(change, kind, torn_grid, parts, monkeypatch):
+def test_buckling_modes_join_the_kernel(change, kind, torn_grid, create_dual, monkeypatch):
     """Enriched by its negative eigenvectors K_ρ is positive definite, and the algebra stays exact.
 
     K E = R D means Eᵀ K E = D − D²/ρ with whatever columns R has got, and whatever ρ they need.
@@ -125,8 +125,8 @@ def test_buckling_modes_join_the_kernel(change, kind, torn_grid, parts, monkeypa
     problem = torn_grid((2, 2), (2, 2), components=2, change=change)
     with monkeypatch.context() as patch:
         patch.setattr(mode_search, "MAX_BUCKLING_ROUNDS", 0)
-        plain = parts(problem.A, type=kind)
-    system = parts(problem.A, type=kind)
+        plain = create_dual(problem.A, type=kind)
+    system = create_dual(problem.A, type=kind)
     found = modes_of(system)
     total = whole(np.array([plain.inverse.negative(), system.inverse.negative()]))
     agree(total[::2].any() == (change is not CHANGES["softening"]) and not total[1::2].any(), total)
@@ -151,7 +151,7 @@ def test_buckling_modes_join_the_kernel(change, kind, torn_grid, parts, monkeypa
     agree(counted == 12 if exactly else counted > 0, counted)
 
 
-def test_zero_pivot_of_buckling_modes_is_an_error(torn_grid, parts, monkeypatch):
+def test_zero_pivot_of_buckling_modes_is_an_error(torn_grid, create_dual, monkeypatch):
     """A solver that stops where they join the kernel has no factor of K_ρ, and says so."""
     factor = scaled.ScaledMatrix.factor
     width = {}
@@ -164,10 +164,10 @@ def test_zero_pivot_of_buckling_modes_is_an_error(torn_grid, parts, monkeypatch)
     monkeypatch.setattr(scaled.ScaledMatrix, "factor", stop)
     problem = torn_grid((2, 2), (2, 2), components=2, change=CHANGES["random"])
     with raises(SetUpError, "subdomain .*a zero pivot"):
-        parts(problem.A)
+        create_dual(problem.A)
 
 
-def test_zero_pivot_found_by_a_solve_asks_for_null_vectors(torn_grid, parts, monkeypatch):
+def test_zero_pivot_found_by_a_solve_asks_for_null_vectors(torn_grid, create_dual, monkeypatch):
     """As one in the factor; a regular subdomain has none."""
     is_singular = scaled.is_numerically_singular
     asked = set()
@@ -179,12 +179,12 @@ def test_zero_pivot_found_by_a_solve_asks_for_null_vectors(torn_grid, parts, mon
         return is_singular(factor, d, *most)
 
     monkeypatch.setattr(scaled, "is_numerically_singular", stop)
-    found = modes_of(parts(torn_grid((2, 2), (2, 2), components=2).A))
+    found = modes_of(create_dual(torn_grid((2, 2), (2, 2), components=2).A))
     agree(all(found.is_exact) and bool(asked) == bool(found.is_exact))
 
 
 @pytest.mark.parametrize("stiff", [0.0, 1e9], ids=["even", "stiff"])
-def test_rough_factors_only_where_they_precondition(stiff, torn_grid, pattern, lifetime):
+def test_rough_factors_only_where_they_precondition(stiff, torn_grid, read_pattern, lifetime):
     """Single precision, but double where a stiff tie would have it round the rest away."""
 
     def tie(K, dofs):
@@ -192,7 +192,7 @@ def test_rough_factors_only_where_they_precondition(stiff, torn_grid, pattern, l
             K_i[:2, :2] += stiff * np.abs(K_i).max() * np.array([[1.0, -1.0], [-1.0, 1.0]])
 
     problem = torn_grid((2, 2), (2, 2), components=2, change=tie)
-    read = pattern(problem.A, interior="eliminate")
+    read = read_pattern(problem.A, interior="eliminate")
     rough = set_up(read, lifetime, lifetime, allow_single_precision=True)
     single = {K_i.factor.is_single_precision for K_i in rough.inverse.blocks}
     agree(single <= {not stiff}, single)
@@ -218,10 +218,10 @@ def complement(K, Γ):
 
 @every_type
 @each("change", {"indefinite": INDEFINITE, **{name: CHANGES[name] for name in DIAGONAL}})
-def test_elimination_is_exact(kind, change, way, torn_grid, parts):
+def test_elimination_is_exact(kind, change, way, torn_grid, create_dual):
     """S by all ways, S u_Γ = f̂ with K u = f inside, and the inertia of K_II."""
     problem = torn_grid((2, 2), (6, 5), components=2, change=change)
-    system = parts(problem.A, type=kind, interior="eliminate")
+    system = create_dual(problem.A, type=kind, interior="eliminate")
     torn = system.torn
     operator = system.operator
     fixed = system.pattern.fixed

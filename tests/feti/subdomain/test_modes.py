@@ -56,7 +56,9 @@ HELD = {
 
 
 @each(("held", "dimension"), HELD)
-def test_kernel_is_what_a_singular_value_decomposition_finds(held, dimension, torn_grid, parts):
+def test_kernel_is_what_a_singular_value_decomposition_finds(
+    held, dimension, torn_grid, create_dual
+):
     """In classical FETI, against the null space of a brick's matrix without its fixed dofs.
 
     Another subdomain is held by a face, so that the whole is regular; it has no kernel. The factor
@@ -67,7 +69,7 @@ def test_kernel_is_what_a_singular_value_decomposition_finds(held, dimension, to
         return held(x) | (x[:, :1] == 4.0)
 
     problem = torn_grid((2, 1, 1), BRICK, components=3, fixed=fixed)
-    system = parts(problem.A, type="classical")
+    system = create_dual(problem.A, type="classical")
     errors = [0.0]
     nullities = []
     for K_i in system.inverse.blocks:
@@ -123,12 +125,12 @@ def quarter_tube(subdomains, kappa=1000.0, **options):
 @every_interior
 @pytest.mark.parametrize("kappa", [1000.0, 1e5])
 @pytest.mark.parametrize("subdomains", [64, CELLS])
-def test_kernel_of_a_few_cells(subdomains, kappa, interior, parts):
+def test_kernel_of_a_few_cells(subdomains, kappa, interior, create_dual):
     """A cell has three null vectors beside the rigid ones; all count as kernel, with D = 0."""
     _, problem = quarter_tube(subdomains, kappa)
     problem._system.residual()
     problem._system.linearise()
-    system = parts(problem.A, interior=interior, coarse_modes=0)
+    system = create_dual(problem.A, interior=interior, coarse_modes=0)
     torn = system.torn
     modes = modes_of(system)
     expected = []
@@ -269,14 +271,14 @@ def test_buckling_modes(values, most, n):
 
 
 @every_type
-def test_more_soft_modes_fewer_iterations(kind, torn_grid, feti):
+def test_more_soft_modes_fewer_iterations(kind, torn_grid, create_ksp):
     """Of the dual formulation: slender subdomains bend softly; the solution stays what it is."""
     problem = torn_grid((2, 3), (16, 2), components=2)
     values = random_values(problem)
     iterations = []
     sizes = []
     for threshold in (0.0, 0.01, 0.5):
-        ksp = feti(
+        ksp = create_ksp(
             problem.A,
             feti_type=kind,
             feti_coarse_threshold=threshold,
@@ -299,12 +301,14 @@ def test_more_soft_modes_fewer_iterations(kind, torn_grid, feti):
     ids=["at rest", "no adaptive columns", "hardly softened", "softened"],
 )
 def test_adaptive_columns_take_the_place_of_soft_modes(
-    taken, adaptive, found, torn_grid, pattern, lifetime
+    taken, adaptive, found, torn_grid, read_pattern, lifetime
 ):
     """In the primal form; not where stress takes a share of the stiffness away."""
     problem = torn_grid((2, 3), (16, 2), components=2, change=softened(taken))
     options = {"interior": "eliminate", "coarse_adaptive": adaptive, "coarse_threshold": 0.5}
-    setup = set_up(pattern(problem.A, **options), lifetime, lifetime, allow_single_precision=True)
+    setup = set_up(
+        read_pattern(problem.A, **options), lifetime, lifetime, allow_single_precision=True
+    )
     agree((COMM.allreduce(sum(modes.soft_size for modes in setup.inverse.modes)) > 0) == found)
 
 

@@ -243,21 +243,21 @@ def test_refuses_a_singular_correction(image):
 
 
 @pytest.mark.parametrize("option", ["pc_factor_mat_solver_type", "pc_type"])
-def test_options_that_name_a_solver_are_followed(option, torn_grid, parts):
+def test_options_that_name_a_solver_are_followed(option, torn_grid, create_dual):
     with inserted("test_feti_local_", {option: {"pc_type": "cholesky"}.get(option, "mumps")}):
-        system = parts(torn_grid((2, 2), (4, 3)).A, interior="keep")
+        system = create_dual(torn_grid((2, 2), (4, 3)).A, interior="keep")
     agree(all(isinstance(factor, PetscFactor) for factor in factors_of(system)))
     agree(all(isinstance(S.interior_factor, FrontFactor) for S in system.operator.blocks))
 
 
 def test_unsymmetric_matrices_and_long_indices_have_pivots(
-    torn_grid, pattern, parts, lifetime, monkeypatch
+    torn_grid, read_pattern, create_dual, lifetime, monkeypatch
 ):
-    read = pattern(torn_grid((2, 2), (4, 3), change=unsymmetric(0.01)).A)
+    read = read_pattern(torn_grid((2, 2), (4, 3), change=unsymmetric(0.01)).A)
     S = set_up_operator(read, lifetime)
     agree(all(isinstance(S_i.interior_factor, PetscFactor) for S_i in S.blocks))
     monkeypatch.setattr(create, "reads_in_place", lambda: False)
-    system = parts(torn_grid((2, 2), (4, 3)).A, interior="keep")
+    system = create_dual(torn_grid((2, 2), (4, 3)).A, interior="keep")
     agree(all(isinstance(factor, PetscFactor) for factor in factors_of(system)))
 
 

@@ -50,7 +50,7 @@ def truth(t: float) -> tuple[float, float]:
     return 1 - 2 * t + 3 * t**2, t**2 - t
 
 
-class Played:
+class FakeProblem:
     """A problem with known equilibria, u and p of :func:`truth`.
 
     A solve takes as many Newton steps as it is told, or fails and leaves nonsense behind.
