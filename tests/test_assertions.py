@@ -19,6 +19,7 @@ class Record:
 
 
 report = Record()
+GROWING = np.arange(5.0) ** 2
 
 
 def failure(check: object) -> str:
@@ -48,6 +49,24 @@ CONDITIONS = {
     "in": (lambda: agree("word" in str(report.exact)), ["str(report.exact) = '3'"]),
     "call": (lambda: agree(str(report.exact).startswith("2")), ["str(report.exact) = '3'"]),
     "all": (lambda: agree(all(k < report.exact for k in range(9))), ["k = 3", "report.exact = 3"]),
+    "np.all": (
+        lambda: agree(np.all(GROWING < 3.0 * report.exact)),
+        ["False for 2 of 5 entries, the first of which is [3]", "(GROWING)[3] = 9.0", "= 9.0"],
+    ),
+    "method-all": (
+        lambda: agree((GROWING > 1.0).all()),
+        ["False for 2 of 5", "(GROWING)[0] = 0.0"],
+    ),
+    "not-any": (lambda: agree(not GROWING.any()), ["GROWING = array([ 0.,  1.,  4.,  9., 16.])"]),
+    "not-any-comparison": (
+        lambda: agree(not np.any(GROWING == 9.0)),
+        ["True for 1 of 5 entries, the first of which is [3]", "(GROWING)[3] = 9.0"],
+    ),
+    "branch": (
+        lambda: agree(report.exact == 2 if COMM.size > 0 else False),
+        ["COMM.size > 0 = True", "report.exact = 3"],
+    ),
+    "list-of-a-call": (lambda: agree(not sorted([3, report.exact])), ["= [3, 3]"]),
     "value": (lambda: agree(report.exact - 3), ["report.exact - 3 = 0"]),
     "context": (lambda: agree(report.exact == 2, "after two steps"), ["after two steps"]),
     "small": (lambda: small(-2.5 * report.exact, 1e-3), ["|-2.5 * report.exact| = 7.5 > 0.001"]),

@@ -93,13 +93,63 @@ def describe(node: ast.expr, scope: dict[str, Any]) -> Iterator[str]:
         for name in dict.fromkeys(part.id for part in ast.walk(node) if isinstance(part, ast.Name)):
             if name in scope and not callable(scope[name]):
                 yield f"{name} = {shown(scope[name])}"
+    elif isinstance(node, ast.IfExp):
+        yield from value_of(node.test, scope)
+        yield from describe(node.body if is_true(node.test, scope) else node.orelse, scope)
+    elif is_over_entries(node):
+        yield from describe_entries(node, scope)
     elif isinstance(node, ast.Call):
+        if not isinstance(evaluate(node, scope), bool | np.bool_):  # as in ``not warnings()``
+            yield from value_of(node, scope)
         if isinstance(node.func, ast.Attribute):
             yield from value_of(node.func.value, scope)
         for operand in node.args:
             yield from value_of(operand, scope)
     else:
         yield from value_of(node, scope)
+
+
+def is_over_entries(node: ast.expr) -> bool:
+    """Return True for ``np.all(array)`` and ``array.all()``, and the same with any."""
+    if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+        return False
+    return node.func.attr in ("all", "any") and len(node.args) == int(is_of_numpy(node))
+
+
+def is_of_numpy(node: ast.Call) -> bool:
+    """Return True for ``np.function(…)``."""
+    assert isinstance(node.func, ast.Attribute)
+    return isinstance(node.func.value, ast.Name) and node.func.value.id == "np"
+
+
+def describe_entries(node: ast.expr, scope: dict[str, Any]) -> Iterator[str]:
+    """Yield the array that is looked through, or both sides of a comparison and where it is false.
+
+    With any, it is where it is true: the condition has a ``not`` in front then.
+
+    Args:
+        node: A call of :func:`is_over_entries`.
+        scope: Values of the names in it.
+    """
+    assert isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+    entries = node.args[0] if is_of_numpy(node) else node.func.value
+    if not isinstance(entries, ast.Compare) or len(entries.comparators) > 1:
+        yield from value_of(entries, scope)
+        return
+    sides = [entries.left, *entries.comparators]
+    values = [evaluate(side, scope) for side in sides]
+    flags = np.asarray(evaluate(entries, scope))
+    is_cause = node.func.attr == "any"
+    places = np.argwhere(flags == is_cause)
+    if flags.dtype == bool and len(places):
+        place = ", ".join(str(int(i)) for i in places[0])
+        count = f"{len(places)} of {flags.size} entries"
+        yield f"{is_cause} for {count}, the first of which is [{place}]"
+        for side, value in zip(sides, values, strict=True):
+            entry = np.broadcast_to(value, flags.shape)[tuple(places[0])]
+            yield f"({ast.unparse(side)})[{place}] = {shown(entry)}"
+    for side in sides:
+        yield from value_of(side, scope)
 
 
 def is_over_generator(node: ast.Call, function: str) -> bool:
