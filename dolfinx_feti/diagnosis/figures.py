@@ -115,7 +115,7 @@ def collect_figures(formulation: Formulation) -> Figures:
         dofs_by_copies=tuple(int(count) for count in counts[1:]),
         stiffness_jump=_stiffness_jump(torn),
         near_kernel=_near_kernel_in_words(torn),
-        null_vectors=comm.allreduce(sum(modes.null_size for modes in formulation.modes)),
+        null_vectors=comm.allreduce(sum(modes.n_null for modes in formulation.modes)),
         pressures_per_dof=pressures_per_dof,
         pressure_stiffening=pressure_stiffening,
     )

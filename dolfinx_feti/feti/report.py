@@ -101,7 +101,7 @@ def collect(formulation: Formulation, info: SolveInfo, *, age: int) -> Report:
     comm = torn.comm
     sizes = [len(dofs) for dofs in torn.subdomains]
     modes = formulation.modes
-    kernel_sizes = np.array([m.rigid_size + m.null_size for m in modes], dtype=np.int64)
+    kernel_sizes = np.array([m.n_rigid + m.n_null for m in modes], dtype=np.int64)
     largest = comm.allreduce(int(kernel_sizes.max(initial=0)), op=MPI.MAX)
     kernels = comm.allreduce(np.bincount(kernel_sizes, minlength=largest + 1))
     return Report(
@@ -118,9 +118,9 @@ def collect(formulation: Formulation, info: SolveInfo, *, age: int) -> Report:
         multipliers=pattern.gluing.B.getSize()[0],
         kernels=tuple(int(count) for count in kernels),
         exact=comm.allreduce(sum(m.is_exact for m in modes)),
-        elastic=comm.allreduce(sum(m.buckling_size + m.soft_size for m in modes)),
+        elastic=comm.allreduce(sum(m.n_buckling + m.n_soft for m in modes)),
         inertia=formulation.inertia,
-        interior="eliminated" if formulation.operator.is_eliminated else "kept",
+        interior="eliminated" if formulation.operator.is_interior_eliminated else "kept",
         coarse_size=formulation.coarse.N_c,
         coarse_solver=str(solver),
         coarse_mib=solver.memory(),

@@ -168,9 +168,9 @@ def _set_up_inverse(
     # D of a subdomain has a negative eigenvalue for each column of its stabilisation Z.
     defect = torn.comm.allreduce(sum(m.stabilisation.shape[1] for m in inverse.modes))
     inertia = Inertia(
-        local=sum_if_known(inverse.negative, torn.comm),
+        local=sum_if_known(inverse.count_negative_eigenvalues, torn.comm),
         defect=defect,
-        interior=sum_if_known(operator.negative_interior, torn.comm),
+        interior=sum_if_known(operator.count_negative_interior_eigenvalues, torn.comm),
         assembled=None,
     )
     return inverse, inertia
@@ -191,7 +191,7 @@ def set_up_operator(pattern: Pattern, matrix_objects: Lifetime) -> SchurOperator
     with event("FETIFactor"), event("FETISchur"):
         operator = on_subdomains(lambda: create_schur_operator(torn, analysis), torn.comm)
         matrix_objects.own(operator)
-    if analysis.is_eliminated:
+    if analysis.is_interior_eliminated:
         require_regular_interior_blocks(pattern, operator)
     return operator
 

@@ -16,7 +16,7 @@ from dolfinx_feti.feti.dual.formulation import DualFormulation
 from dolfinx_feti.feti.primal.formulation import PrimalFormulation
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
 
-NAMES = ("R", "E", "D", "stabilisation", "is_exact", "rho", "rigid_size", "null_size")
+NAMES = ("R", "E", "D", "stabilisation", "is_exact", "rho", "n_rigid", "n_null")
 
 
 def on_torn_dofs(system: DualFormulation | PrimalFormulation, blocks: Iterable[Array]) -> Array:

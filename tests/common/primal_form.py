@@ -122,7 +122,7 @@ def reference(problem: HandTorn, form: PrimalFormulation) -> Dense:
 
     R_all = on_torn_dofs(form, [modes.R for modes in form.modes])
     ρ_R = on_torn_dofs(form, [modes.rho * modes.R for modes in form.modes])
-    if not operator.is_eliminated:
+    if not operator.is_interior_eliminated:
         K_ρ = K + ρ_R @ R_all.T
         S_ρ = condensed(K_ρ)
         E = np.zeros_like(R_all)

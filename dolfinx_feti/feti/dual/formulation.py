@@ -188,7 +188,7 @@ class DualFormulation:
         Args:
             f: Torn load, (n,).
         """
-        return self.operator.interface_load(f) if self.operator.is_eliminated else f
+        return self.operator.interface_load(f) if self.operator.is_interior_eliminated else f
 
     def _extend_if_eliminated(self, u: Array, f: Array) -> Array:
         """Return u with its interior dofs, which are missing if the interior is eliminated.
@@ -200,7 +200,7 @@ class DualFormulation:
         Returns:
             u on all dofs, (n,).
         """
-        return self.operator.extend(u, f) if self.operator.is_eliminated else u
+        return self.operator.extend(u, f) if self.operator.is_interior_eliminated else u
 
     def memory(self) -> float:
         """Return the memory of all factors of this process in MiB."""
@@ -278,7 +278,7 @@ def _is_semidefinite(setup: Setup) -> bool:
     If the interior is eliminated, the inertia of the generalised inverse is that of S_i. K_i is
     positive semi-definite if S_i and K_II are.
     """
-    if not setup.operator.is_eliminated:
+    if not setup.operator.is_interior_eliminated:
         return setup.inertia.is_definite
     return setup.inertia.is_definite and setup.inertia.interior == 0
 
@@ -297,7 +297,7 @@ def _averaged_motion(torn: Torn, setup: Setup, coarse: DualCoarseProblem, s: Arr
     """
     w = torn.tear(torn.assemble(setup.delta * coarse.prolong(s)))  # T Tᵀ δ E s
     w = np.where(torn.is_dirichlet_copy, 0.0, w)
-    if setup.operator.is_eliminated:
+    if setup.operator.is_interior_eliminated:
         w = setup.operator.extend(w, np.zeros(torn.n))
     return np.where(torn.is_dirichlet_copy, 0.0, w)
 

@@ -134,7 +134,9 @@ class Preconditioner(ABC):
             Yw: Y w, (n,). A subclass for which it equals t returns it and saves the product.
         """
         operator = self.operator
-        return operator.multiply(w) if operator.is_eliminated else operator.torn.multiply(w)
+        if operator.is_interior_eliminated:
+            return operator.multiply(w)
+        return operator.torn.multiply(w)
 
     def extend(self, w: Array) -> Array:
         """Extend an interface displacement to the interior by zero, E_Γ w = w, (n,).
@@ -153,7 +155,7 @@ class Preconditioner(ABC):
             i: Number of the subdomain on this process.
             Z: Columns of its stabilisation, (n_i, q); (n_{Γ,i}, q) if the interior is eliminated.
         """
-        if self.operator.is_eliminated:
+        if self.operator.is_interior_eliminated:
             return Z
         return Z[self.operator.blocks[i].subdomain.is_on_interface]
 

@@ -46,7 +46,7 @@ class Dirichlet(Preconditioner):
     def extend(self, w: Array) -> Array:
         """Extend an interface displacement harmonically to the interior, E_Γ w, (n,)."""
         operator = self.operator
-        if operator.is_eliminated:
+        if operator.is_interior_eliminated:
             return w
         return operator.extend(w, np.zeros_like(w))
 
@@ -57,7 +57,7 @@ class Dirichlet(Preconditioner):
             i: Number of the subdomain on this process.
             Z: Columns of its stabilisation, (n_i, q); (n_{Γ,i}, q) if the interior is eliminated.
         """
-        if self.operator.is_eliminated:
+        if self.operator.is_interior_eliminated:
             return Z
         S_i = self.operator.blocks[i]
         subdomain = S_i.subdomain

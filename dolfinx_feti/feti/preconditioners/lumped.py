@@ -28,6 +28,6 @@ class Lumped(Preconditioner):
 
     def unbalanced_force(self, w: Array, Yw: Array) -> Array:
         """Return K E_Γ w, (n,), which is K w = Y w if the interior is kept."""
-        if self.operator.is_eliminated:
+        if self.operator.is_interior_eliminated:
             return super().unbalanced_force(w, Yw)
         return Yw

@@ -288,7 +288,7 @@ def create_primal_formulation(
     options = pattern.subsolvers.coarse
     with event("FETICoarse"):
         require_supported(pattern.torn, pattern.bodies)
-        if not S.is_eliminated:
+        if not S.is_interior_eliminated:
             require_regular_interior_blocks(pattern, S)
         coarse = PrimalCoarseProblem(
             preconditioner.V,
@@ -306,7 +306,7 @@ def create_primal_formulation(
     deflation = create_deflation_space(
         coarse, copies, S, vectors, is_symmetric=pattern.is_symmetric
     )
-    interior = sum_if_known(S.negative_interior, pattern.torn.comm)
+    interior = sum_if_known(S.count_negative_interior_eigenvalues, pattern.torn.comm)
     negative = coarse.negative_eigenvalues
     assembled = None if negative is None or interior is None else negative + interior
     return PrimalFormulation(

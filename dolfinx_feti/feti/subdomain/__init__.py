@@ -18,7 +18,7 @@ Steps 1 and 2 are collective. Steps 3 and 4 work on one process alone, inside of
 
 - Tools: failures, blocks, block_diagonal, panels, orthonormal.
 - The matrices: matrix (K_i), schur (S_i).
-- The modes without energy: kernel_detection (the procedure and its tolerances), null_space,
+- The modes without energy: kernel_detection (the procedure and its tolerances), null_vectors,
   interior (those of K_II).
 - All modes: modes, scaled, soft_modes, mode_search.
 
@@ -28,6 +28,6 @@ n_{Γ,i} of this process. If the interior is eliminated, S_i takes the place of 
 of n_i. *The paper* is Augustin, Holzapfel and Steinbach 2014 (docs/theory.md).
 
 In the order of the data: subdomain, failures, blocks, block_diagonal, panels, orthonormal, factors,
-analysis, matrix, schur, schur_operator, kernel_detection, null_space, interior, modes, scaled,
+analysis, matrix, schur, schur_operator, kernel_detection, null_vectors, interior, modes, scaled,
 soft_modes, mode_search, generalized_inverse.
 """

@@ -66,14 +66,14 @@ class Analysis:
     """How the matrices of all subdomains of this process are factored.
 
     Attributes:
-        is_eliminated: Whether the interior is eliminated, and S is formed.
+        is_interior_eliminated: Whether the interior is eliminated, and S is formed.
         has_interior_factors: Whether K_II is factored; always if the interior is eliminated.
         local_options: How PETSc factors K_ρ, if it does.
         interior_options: How PETSc factors K_II, if it does.
         by_subdomain: The subdomains of this process with their symbolic factors.
     """
 
-    is_eliminated: bool
+    is_interior_eliminated: bool
     has_interior_factors: bool
     local_options: FactorOptions
     interior_options: FactorOptions
@@ -107,17 +107,17 @@ def analyse(
     Raises:
         SetUpError: The analysis of a block failed; on all processes.
     """
-    is_eliminated = interior == "eliminate"
+    is_interior_eliminated = interior == "eliminate"
     if interior == "auto":
-        is_eliminated = symmetric and is_worth_eliminating(torn, subdomains)
-    interior_columns = RIGHT_HAND_SIDES_FOR_S if is_eliminated else RIGHT_HAND_SIDES
+        is_interior_eliminated = symmetric and is_worth_eliminating(torn, subdomains)
+    interior_columns = RIGHT_HAND_SIDES_FOR_S if is_interior_eliminated else RIGHT_HAND_SIDES
     local_options = FactorOptions(subsolvers.local, symmetric, RIGHT_HAND_SIDES)
     interior_options = FactorOptions(subsolvers.dirichlet, symmetric, interior_columns)
     free_dofs = [s.free_dofs for s in subdomains]
     no_interfaces = [np.zeros(0, dtype=np.int32) for _ in subdomains]
     symbolic: Sequence[SymbolicFactor | None] = [None] * len(subdomains)
     interior_symbolic: Sequence[SymbolicFactor | None] = [None] * len(subdomains)
-    if is_eliminated:
+    if is_interior_eliminated:
         interfaces = [np.flatnonzero(s.is_on_interface).astype(np.int32) for s in subdomains]
         interior_symbolic = analyse_blocks(torn, free_dofs, interfaces, interior_options)
     else:
@@ -126,8 +126,8 @@ def analyse(
             interiors = [s.interior for s in subdomains]
             interior_symbolic = analyse_blocks(torn, interiors, no_interfaces, interior_options)
     return Analysis(
-        is_eliminated=is_eliminated,
-        has_interior_factors=is_eliminated or needs_interior_factors,
+        is_interior_eliminated=is_interior_eliminated,
+        has_interior_factors=is_interior_eliminated or needs_interior_factors,
         local_options=local_options,
         interior_options=interior_options,
         by_subdomain=[

@@ -24,7 +24,7 @@ from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_counts
 from dolfinx_feti.feti.subdomain.failures import NumberedErrors, on_subdomains
 from dolfinx_feti.feti.subdomain.matrix import LocalMatrix, create_subdomain_matrices
 from dolfinx_feti.feti.subdomain.mode_search import SoftModeOptions, find_modes
-from dolfinx_feti.feti.subdomain.modes import SubdomainModes, candidate_modes
+from dolfinx_feti.feti.subdomain.modes import SubdomainModes, rigid_modes
 from dolfinx_feti.feti.subdomain.orthonormal import orthonormal
 from dolfinx_feti.feti.subdomain.scaled import scale_matrix
 from dolfinx_feti.feti.subdomain.schur_operator import FormedSchurOperator, SchurOperator
@@ -87,7 +87,7 @@ class LocalInverse:
     def solve(self, y: Array) -> Array:
         """Return K_i⁺ y, (n_i,), or K_i⁺ Y, (n_i, r)."""
         x = self.factor.solve(y)  # K_ρ⁻¹ y
-        if not self.modes.soft_size:
+        if not self.modes.n_soft:
             return x
         return np.asarray(x - self.modes.E_Y @ (self.modes.Y.T @ x))  # (I − E_Y Yᵀ) K_ρ⁻¹ y
 
@@ -188,7 +188,7 @@ class GeneralizedInverse:
         with event("FETILocalSolve"):
             return self._errors.guard(solve, t.shape)
 
-    def negative(self) -> int | None:
+    def count_negative_eigenvalues(self) -> int | None:
         """Return the number of negative eigenvalues of all K_ρ of this process, if known."""
         return sum_counts([inverse.factor.inertia.negative for inverse in self.blocks])
 
@@ -234,20 +234,21 @@ def create_generalized_inverse(
     interface = interface_dofs(analysis.subdomains)
     stiffness = np.zeros(torn.n)  # k_Γ: zero inside
     stiffness[interface] = torn.stiffness()[interface]
-    rigid_modes = [candidate_modes(near_kernel[s.dofs], fixed[s.dofs]) for s in analysis.subdomains]
-    rigid_forces = _estimate_rigid_forces(torn, analysis.subdomains, rigid_modes)
+    rigid = [rigid_modes(near_kernel[s.dofs], fixed[s.dofs]) for s in analysis.subdomains]
+    rigid_forces = _estimate_rigid_forces(torn, analysis.subdomains, rigid)
     blocks = []
     with Lifetime() as inverses:  # destroyed if a later subdomain fails
         matrices = local_matrices(S, analysis)
-        for matrix, R, rigid_force in zip(matrices, rigid_modes, rigid_forces, strict=True):
+        for matrix, R, rigid_force in zip(matrices, rigid, rigid_forces, strict=True):
             s = matrix.subdomain
             with NumberedErrors(s.number):
                 # On Γ alone the modes are not orthonormal, and may depend on each other.
-                rigid = orthonormal(R[s.is_on_interface]) if S.is_eliminated else R
+                if S.is_interior_eliminated:
+                    R = orthonormal(R[s.is_on_interface])
                 scaled = scale_matrix(
                     matrix, stiffness[matrix.dofs], allow_single_precision=allow_single_precision
                 )
-                factor, modes = find_modes(scaled, scaled.scale_modes(rigid), rigid_force, options)
+                factor, modes = find_modes(scaled, scaled.scale_modes(R), rigid_force, options)
             blocks.append(inverses.own(LocalInverse(matrix, factor, modes)))
         inverses.release()  # the generalised inverse owns them
     return GeneralizedInverse(blocks, torn.errors)
@@ -261,17 +262,17 @@ def local_matrices(S: SchurOperator, analysis: Analysis) -> Sequence[LocalMatrix
 
 
 def _estimate_rigid_forces(
-    torn: Torn, subdomains: Sequence[Subdomain], rigid_modes: Sequence[Array]
+    torn: Torn, subdomains: Sequence[Subdomain], rigid: Sequence[Array]
 ) -> list[float]:
     """Return ‖K_i R ω‖ of every subdomain for random weights ω, which estimates ‖K_i R‖.
 
     Args:
         torn: The torn matrix.
         subdomains: The subdomains.
-        rigid_modes: Rigid modes R of each on its free dofs, (n_i, k).
+        rigid: Rigid modes R of each on its free dofs, (n_i, k).
     """
     t = np.zeros(torn.n)
-    for s, R in zip(subdomains, rigid_modes, strict=True):
+    for s, R in zip(subdomains, rigid, strict=True):
         t[s.free_dofs] = R @ np.random.default_rng(len(s.free_dofs)).uniform(1.0, 2.0, R.shape[1])
     force = torn.multiply(t)  # K R ω
     return [float(np.linalg.norm(force[s.free_dofs])) for s in subdomains]

@@ -23,7 +23,7 @@ from dolfinx_feti.feti.subdomain.factors.petsc_factor import factor_by_petsc
 from dolfinx_feti.feti.subdomain.factors.petsc_solver import FactorOptions
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
 from dolfinx_feti.feti.subdomain.failures import NumberedErrors, RemediedFactorError
-from dolfinx_feti.feti.subdomain.null_space import is_numerically_singular, null_space
+from dolfinx_feti.feti.subdomain.null_vectors import is_numerically_singular, null_vectors
 from dolfinx_feti.feti.subdomain.schur import SchurComplement
 from dolfinx_feti.feti.subdomain.subdomain import Subdomain
 from dolfinx_feti.runtime.arrays import Array, Mask
@@ -97,7 +97,7 @@ def _null_vectors_of_interior(
     def factor_shifted(B: Array, shift: Array) -> Factor:
         return factor_by_petsc(K, I, options, B, 1.0, shift)
 
-    Y = null_space(multiply, factor_shifted, d)
+    Y = null_vectors(multiply, factor_shifted, d)
     Y = Y[:, _are_null_vectors(K_II, Y, d)]  # none if K_II is only badly conditioned
     force = np.abs(K_ΓI @ Y).max(initial=0.0)
     if force > MAX_INTERFACE_FORCE * np.abs(K_II.data).max() * np.abs(Y).max(initial=0.0):
@@ -114,10 +114,10 @@ def _are_null_vectors(K: scipy.sparse.csr_array, Y: Array, d: Array) -> Mask:
     .. math:: \|d^{-1/2} K y\| ≤ c\, ε\, \bigl(\|d^{-1/2} \sqrt{\textstyle\sum_j K_{ij}^2 y_j^2}\|
               + \|d^{1/2} y\|\bigr)
 
-    with c = ``FORCE_ROUNDING_MARGIN`` and the unit of rounding ε: rounding of the sums K y, if the
-    errors of their terms are independent, and of y itself. It is stricter than ``null_space``: the
-    null vectors are reported as motions of the assembled matrix, which a K_II that is only badly
-    conditioned does not have.
+    with c = ``FORCE_ROUNDING_MARGIN`` and the machine epsilon ε: rounding of the sums K y, if the
+    errors of their terms are independent, and of y itself. This is stricter than
+    ``null_vectors``, because the result is reported as motions of the assembled matrix, which a
+    badly conditioned K_II does not have.
 
     Args:
         K: The block, (n_{I,i}, n_{I,i}).

@@ -10,33 +10,32 @@ matrix with a unit diagonal, and with orthonormal columns :math:`\tilde R` of :m
           \|(\tilde K + \tilde R \tilde R^⊤)\, \tilde y\| ≤ ε\, \|\tilde y\|,
           \qquad y = d^{-1/2}\, \tilde y.
 
-1. *Candidates* (``modes.candidate_modes``): the near kernel of the assembled problem on the
-   subdomain. Combinations that vanish on its fixed dofs (:data:`MAX_NORM_ON_FIXED_DOFS`) are its
-   *rigid modes*. They join R even if K R ≠ 0.
-2. *Test* (``null_space.is_numerically_singular``): K_ρ, with the rigid modes in R, is factored. If
-   random vectors grow by more than ``max_growth`` of :class:`NullTolerances` in a solve, or a pivot
-   is zero, there may be further null vectors. A factor in single precision has passed a stricter
-   test, which measures the same growth (``scaled.ScaledMatrix.factor_for_preconditioner``).
-3. *Null vectors* (``null_space.null_space``): those with ε = ``max_singular_value`` join R. If
-   there are none, the matrix only is badly conditioned, and is used as it is. If K_ρ fails the test
-   again with them in R, an error is raised (``mode_search``).
+1. *Rigid modes* (``modes.rigid_modes``): the candidates are the near kernel of the assembled
+   problem, restricted to the subdomain. Combinations that vanish on its fixed dofs
+   (:data:`MAX_NORM_ON_FIXED_DOFS`) are its rigid modes. They join R even if K R ≠ 0.
+2. *Test* (``null_vectors.is_numerically_singular``): K_ρ is factored with the rigid modes in R. The
+   test fails if a solve makes random vectors grow by more than ``max_growth`` of
+   :class:`NullTolerances`, or if a pivot is zero. A factor in single precision has already passed a
+   stricter bound on the growth (``scaled.ScaledMatrix.factor_for_preconditioner``).
+3. *Null vectors* (``null_vectors.null_vectors``): if the test fails, the singular vectors with
+   ε = ``max_singular_value`` join R. If there are none, the matrix is only badly conditioned, and
+   is used as it is. If K_ρ fails the test with the null vectors in R, an error is raised
+   (``mode_search``).
 4. *Exactness* (``mode_search``): if the forces K R of rigid modes (:data:`MAX_RIGID_FORCE`) and of
-   null vectors (:data:`MAX_NULL_FORCE`) are rounding, E = R and D = 0 are used. Otherwise E and D
-   are computed, and no energy is lost.
-5. *Interior* (``interior``): steps 2 and 3 for K_II, without candidates. Its null vectors are null
-   vectors of the assembled matrix if they exert no force on the interface
+   null vectors (:data:`MAX_NULL_FORCE`) are rounding errors, E = R and D = 0 are used. Otherwise E
+   and D are computed from K R.
+5. *Interior* (``interior``): steps 2 and 3 for K_II, which has no rigid modes. Its null vectors are
+   null vectors of the assembled matrix if they exert no force on the interface
    (``interior.MAX_INTERFACE_FORCE``).
 
 If d spans many orders of magnitude, the matrix is scaled (``scaled``), to :math:`\bar d` times the
-equilibrated one. Then modes of nearly no energy count, too: :data:`NEARLY_NULL` in place of
-:data:`EXACTLY_NULL`. Columns that depend on each other are left out by ``orthonormal.RANK_RTOL``
-and ``orthonormal.MIN_SINE``.
+equilibrated one. Modes with little energy then count as well: :data:`NEARLY_NULL` replaces
+:data:`EXACTLY_NULL`. Dependent columns are removed by ``orthonormal.RANK_RTOL`` and
+``orthonormal.MIN_SINE``.
 
-Another detection replaces steps 2 and 3 in two places: the methods ``is_singular`` and
-``null_vectors`` of ``scaled.ScaledMatrix``, and in ``interior`` the calls of
-``is_numerically_singular`` and ``null_space``. Two shortcuts precede step 2 in
-``mode_search``: a factor in single precision is not tested again, and if the factorisation stops at
-a zero pivot, step 3 follows at once.
+Another detection replaces the two functions of ``null_vectors``, which K_ρ and K_II share. Two
+shortcuts in ``mode_search`` precede step 2: a factor in single precision is not tested again, and
+if the factorisation stops at a zero pivot, step 3 follows at once.
 """
 
 from __future__ import annotations

@@ -132,8 +132,8 @@ def find_modes(
             K_ρ,
             rigid_force,
             options,
-            rigid_size=rigid.shape[1],
-            null_size=without_buckling.R.shape[1] - rigid.shape[1],
+            n_rigid=rigid.shape[1],
+            n_null=without_buckling.R.shape[1] - rigid.shape[1],
         )
         factors.release()  # the caller owns the factor
     return K_ρ.factor.unscaled, modes
@@ -219,8 +219,8 @@ def _complete_modes(
     rigid_force: float,
     options: SoftModeOptions,
     *,
-    rigid_size: int,
-    null_size: int,
+    n_rigid: int,
+    n_null: int,
 ) -> SubdomainModes:
     """Compute E, D, soft modes and stabilisation for the R of a factored K_ρ.
 
@@ -228,16 +228,16 @@ def _complete_modes(
         K_ρ: The matrix, with R.
         rigid_force: Estimate of ‖K_i R‖ for the rigid modes; see :func:`find_modes`.
         options: Which soft modes join Y.
-        rigid_size: Number of rigid modes, the first columns of R.
-        null_size: Number of null vectors, the next columns of R.
+        n_rigid: Number of rigid modes, the first columns of R.
+        n_null: Number of null vectors, the next columns of R.
 
     Returns:
         The modes of the matrix before it was scaled.
     """
     K = K_ρ.K
     n_i, k = K_ρ.R.shape
-    null = K_ρ.R[:, rigid_size : rigid_size + null_size]
-    has_buckling_modes = k > rigid_size + null_size
+    null = K_ρ.R[:, n_rigid : n_rigid + n_null]
+    has_buckling_modes = k > n_rigid + n_null
     is_kernel = (
         not has_buckling_modes
         and rigid_force <= MAX_RIGID_FORCE * K_ρ.rho
@@ -266,8 +266,8 @@ def _complete_modes(
         is_exact=is_kernel and Y.shape[1] == 0,
         is_softened=is_softened,
         rho=K_ρ.rho,
-        rigid_size=rigid_size,
-        null_size=null_size,
+        n_rigid=n_rigid,
+        n_null=n_null,
     )
 
 

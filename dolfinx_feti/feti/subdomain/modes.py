@@ -39,8 +39,8 @@ class SubdomainModes:
             large in comparison with the stiffness of the interface
             (``mode_search.MIN_SOFTENING``).
         rho: The stiffness ρ.
-        rigid_size: Number of rigid modes.
-        null_size: Number of null vectors that are not rigid.
+        n_rigid: Number of rigid modes.
+        n_null: Number of null vectors that are not rigid.
     """
 
     R: Array
@@ -51,26 +51,26 @@ class SubdomainModes:
     is_exact: bool
     is_softened: bool
     rho: float
-    rigid_size: int
-    null_size: int
+    n_rigid: int
+    n_null: int
 
     @property
-    def soft_size(self) -> int:
+    def n_soft(self) -> int:
         """Number of soft modes."""
         return self.Y.shape[1]
 
     @property
-    def buckling_size(self) -> int:
+    def n_buckling(self) -> int:
         """Number of buckling modes."""
-        return self.R.shape[1] - self.rigid_size - self.null_size
+        return self.R.shape[1] - self.n_rigid - self.n_null
 
     @property
     def E_Y(self) -> Array:
         """E of the soft modes, its last columns, (n_i, k_Y)."""
-        return self.E[:, self.E.shape[1] - self.soft_size :]
+        return self.E[:, self.E.shape[1] - self.n_soft :]
 
 
-def candidate_modes(near_kernel: Array, is_fixed: Mask) -> Array:
+def rigid_modes(near_kernel: Array, is_fixed: Mask) -> Array:
     """Return the rigid modes: combinations of the near kernel that vanish on fixed dofs.
 
     Args:

@@ -23,7 +23,7 @@ from dolfinx_feti.feti.subdomain.factors.cholesky import SINGLE_ROUNDING
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, FactorInertia
 from dolfinx_feti.feti.subdomain.kernel_detection import EXACTLY_NULL, NEARLY_NULL, NullTolerances
 from dolfinx_feti.feti.subdomain.matrix import LocalMatrix
-from dolfinx_feti.feti.subdomain.null_space import growth, is_numerically_singular, null_space
+from dolfinx_feti.feti.subdomain.null_vectors import growth, is_numerically_singular, null_vectors
 from dolfinx_feti.feti.subdomain.orthonormal import orthonormal
 from dolfinx_feti.runtime.arrays import Array
 
@@ -156,7 +156,7 @@ class ScaledMatrix:
         def factor_shifted(B: Array, shift: Array) -> ScaledFactor:
             return self.factor(B, 1.0, shift)
 
-        return null_space(self.multiply, factor_shifted, self.diagonal, R, self.null_tolerances)
+        return null_vectors(self.multiply, factor_shifted, self.diagonal, R, self.null_tolerances)
 
 
 def _multiply_rows(scale: Array | None, X: Array) -> Array:

@@ -59,7 +59,7 @@ class SchurOperator(ABC):
 
     @property
     @abstractmethod
-    def is_eliminated(self) -> bool:
+    def is_interior_eliminated(self) -> bool:
         """Whether the interior is eliminated, and S formed."""
 
     @property
@@ -126,7 +126,7 @@ class SchurOperator(ABC):
             x[I] = S_i.solve_interior(y[I])
         return x
 
-    def negative_interior(self) -> int | None:
+    def count_negative_interior_eigenvalues(self) -> int | None:
         """Return the number of negative eigenvalues of all K_II of this process.
 
         Returns:
@@ -150,7 +150,7 @@ class SchurOperator(ABC):
 class FormedSchurOperator(SchurOperator):
     """S with formed blocks: the interior is eliminated."""
 
-    is_eliminated = True
+    is_interior_eliminated = True
 
     def __init__(self, torn: Torn, blocks: list[FormedSchurComplement]) -> None:
         """Own the blocks of all subdomains of this process."""
@@ -182,7 +182,7 @@ class FormedSchurOperator(SchurOperator):
 class AppliedSchurOperator(SchurOperator):
     """S applied by factors of K_II: the interior is kept."""
 
-    is_eliminated = False
+    is_interior_eliminated = False
 
     def __init__(
         self, torn: Torn, blocks: list[AppliedSchurComplement], rows: InterfaceRows | None
@@ -278,7 +278,7 @@ def create_schur_operator(torn: Torn, analysis: Analysis) -> SchurOperator:
     """
     with Lifetime() as factors:  # destroyed if a later subdomain fails
         S: SchurOperator
-        if analysis.is_eliminated:
+        if analysis.is_interior_eliminated:
             S = _create_formed(torn, analysis, factors)
         else:
             S = _create_applied(torn, analysis, factors)

@@ -264,7 +264,7 @@ def test_hinge_that_is_held_is_no_mechanism(
     dense, kind, interior, torn_bricks, create_ksp, monkeypatch
 ):
     """The hinge in one subdomain is a null vector beyond the rigid ones, and joins them."""
-    monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_space.MAX_DOFS_FOR_SVD", dense)
+    monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", dense)
 
     def fixed(x):
         return face(x)[:, None] | components(lambda x: np.all(x == 4.0, axis=1), 1)(x)

@@ -19,7 +19,7 @@ from walls import tube, wall
 from dolfinx_feti.feti.setup import set_up
 from dolfinx_feti.feti.subdomain.blocks import sparse_block
 from dolfinx_feti.feti.subdomain.generalized_inverse import local_matrices
-from dolfinx_feti.feti.subdomain.modes import candidate_modes
+from dolfinx_feti.feti.subdomain.modes import rigid_modes
 from dolfinx_feti.feti.subdomain.orthonormal import (
     append_orthonormal,
     orthonormal,
@@ -95,8 +95,8 @@ def test_kernel_is_what_a_singular_value_decomposition_finds(
 def test_modes_that_coincide_on_a_subdomain_count_once():
     """On a single node a rotation is a translation."""
     modes = np.hstack([np.eye(3), np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])])
-    equal(candidate_modes(modes, np.zeros(3, dtype=bool)).shape, (3, 3))
-    equal(candidate_modes(np.eye(3), np.ones(3, dtype=bool)).shape, (0, 0))
+    equal(rigid_modes(modes, np.zeros(3, dtype=bool)).shape, (3, 3))
+    equal(rigid_modes(np.eye(3), np.ones(3, dtype=bool)).shape, (0, 0))
 
 
 @pytest.mark.parametrize("shift", [0.0, 1e6])
@@ -104,7 +104,7 @@ def test_kernel_does_not_depend_on_the_origin(shift):
     """Far from the origin rotations look like translations to one part in a million."""
     modes = hand_torn.kernel(NODES + shift, 3)
     fixed = components(edge, 0, 1, 2)(NODES).ravel()
-    R = candidate_modes(np.linalg.qr(modes)[0], fixed)
+    R = rigid_modes(np.linalg.qr(modes)[0], fixed)
     _, K = hand_torn.brick(BRICK, 3)
     agree(R.shape[1] == 1, R.shape)
     eps = np.finfo(float).eps
@@ -139,7 +139,7 @@ def test_kernel_of_a_few_cells(subdomains, kappa, interior, create_dual):
         root = np.sqrt(K.diagonal())
         scaled = K / root[:, None] / root
         expected.append(scipy.linalg.null_space(scaled, rcond=1e-11).shape[1])
-    sizes = np.array(modes.rigid_size) + np.array(modes.null_size)
+    sizes = np.array(modes.n_rigid) + np.array(modes.n_null)
     equal(sizes.astype(np.int64), expected)
     agree(len(whole(np.array(expected))) >= subdomains and COMM.allreduce(sum(expected)) > 0)
     agree(subdomains < CELLS or set(expected) <= {9}, expected)
@@ -187,7 +187,7 @@ class DenseMatrix:
 @pytest.mark.parametrize("dense", [100, 5], ids=["all vectors", "inverse iteration"])
 def test_null_vectors_of_a_graded_matrix(dense, monkeypatch):
     """They are those of the scaled matrix, although the factor is that of the matrix before."""
-    monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_space.MAX_DOFS_FOR_SVD", dense)
+    monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", dense)
     rng = np.random.default_rng(SEED)
     n = 60
     Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
@@ -309,7 +309,7 @@ def test_adaptive_columns_take_the_place_of_soft_modes(
     setup = set_up(
         read_pattern(problem.A, **options), lifetime, lifetime, allow_single_precision=True
     )
-    agree((COMM.allreduce(sum(modes.soft_size for modes in setup.inverse.modes)) > 0) == found)
+    agree((COMM.allreduce(sum(modes.n_soft for modes in setup.inverse.modes)) > 0) == found)
 
 
 # ---- orthonormal bases, and columns that depend on others -----------------------------------

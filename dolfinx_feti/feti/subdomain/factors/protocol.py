@@ -6,7 +6,7 @@ r"""Interfaces of the factorisations of one subdomain: symbolic factors, and fac
 .. math:: x = (K + ρ\, R R^⊤ + \operatorname{diag} σ)^{-1} y
 
 with columns R, (n_i, k), a stiffness ρ and a shift σ, each of which may be absent. R is orthonormal
-where a subdomain is regularised, but not in the search for null vectors (``null_space``). A
+where a subdomain is regularised, but not in the search for null vectors (``null_vectors``). A
 symbolic factor belongs to the pattern of K and serves all its matrices; a factor belongs to one
 matrix, refers to none, and stays as it is if the matrix changes.
 """

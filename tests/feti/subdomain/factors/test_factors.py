@@ -24,7 +24,8 @@ from dolfinx_feti.feti.subdomain.factors.petsc_factor import PetscFactor, factor
 from dolfinx_feti.feti.subdomain.factors.petsc_solver import FactorOptions
 from dolfinx_feti.feti.subdomain.factors.woodbury import factor_by_woodbury
 from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace, pack
-from dolfinx_feti.feti.subdomain.null_space import growth, is_numerically_singular, null_space
+from dolfinx_feti.feti.subdomain.null_vectors import growth, is_numerically_singular
+from dolfinx_feti.feti.subdomain.null_vectors import null_vectors as compute_null_vectors
 from dolfinx_feti.feti.subsolver_options import DirectOptions
 from dolfinx_feti.runtime.petsc_library import csr_of
 from dolfinx_feti.runtime.petsc_options import inserted
@@ -285,7 +286,9 @@ def null_vectors(factored):
         d = np.abs(K.diagonal())
         way = "dense" if kind == "dense" else "pivots"
         again = partial(factored, K, rho=1.0, kind=way)
-        Y = null_space(lambda X: K @ X, lambda known, shift: again(known, shift=shift), d, R)
+        Y = compute_null_vectors(
+            lambda X: K @ X, lambda known, shift: again(known, shift=shift), d, R
+        )
         rho = float(d.mean())
         factor = factored(K, R, rho, kind=kind) or factored(K, R, rho, kind="pivots")
         return Y, is_numerically_singular(factor, d)
@@ -299,7 +302,7 @@ def null_vectors(factored):
 @pytest.mark.parametrize(("known", "unknown"), [(0, 0), (3, 0), (0, 2), (3, 3), (1, 14)])
 def test_null_vectors_are_found(dense, kind, spread, known, unknown, null_vectors, monkeypatch):
     """The null vectors found span, with the known ones, the null space, for any scales."""
-    monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_space.MAX_DOFS_FOR_SVD", dense)
+    monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", dense)
     K, null = singular(50, known + unknown, spread)
     R = np.linalg.qr(null[:, :known])[0]
     Y, told = null_vectors(K, kind, R)
@@ -324,6 +327,6 @@ def test_soft_and_buckling_modes_are_no_null_vectors(kind, softest, null_vectors
 def test_right_null_vectors_of_an_unsymmetric_matrix():
     rng = np.random.default_rng(SEED)
     K = rng.standard_normal((30, 28)) @ rng.standard_normal((28, 30))
-    Y = null_space(lambda X: K @ X, None, np.abs(K.diagonal()))
+    Y = compute_null_vectors(lambda X: K @ X, None, np.abs(K.diagonal()))
     agree(Y.shape == (30, 2))
     small(np.abs(K @ Y).max(), 1e-10 * np.abs(K).max() * np.abs(Y).max())

@@ -79,7 +79,7 @@ def growth(factor: Factor, d: Array) -> float:
     return float(np.linalg.norm(root * factor.solve(root * X)) / np.linalg.norm(X))
 
 
-def null_space(
+def null_vectors(
     multiply: ColumnMap,
     factor_shifted: Callable[[Array, Array], Factor],
     d: Array,
