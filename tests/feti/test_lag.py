@@ -184,7 +184,7 @@ def test_indefinite_matrix_is_told(primal, caplog):
 
 @pytest.mark.parametrize("how", ["", "condensed", "fails"])
 def test_other_form_where_matrix_turns_indefinite(
-    how, torn_grid, create_ksp, monkeypatch, cautious
+    how, torn_grid, create_ksp, monkeypatch, stops_at_negative_curvature
 ):
     """``auto`` switches to the dual formulation, with new factors in double precision.
 
