@@ -9,12 +9,12 @@ stored by its copies on the interfaces of the subdomains of a process, (n_Γ,), 
 writes A_Γ and x_Γ for those of the interface.
 
 A solve begins in ``formulation`` and iterates in ``krylov`` on the operators of ``system``;
-``recycling`` then computes Ritz vectors, by which ``deflation`` speeds up later solves. The coarse
-space is in ``coarse/``.
+``ritz_vectors`` are then computed, by which ``deflation`` speeds up later solves. A first solve may
+be deflated by ``soft_fields``. The coarse space is in ``coarse/``.
 
 Comments on constants name one set of measurements. The *artery path* is that of the demo's artery
 (45 000 dofs, 32 subdomains) to a pressure of 10 mmHg: 36 linear solves, 466 iterations together.
 
-In the order of the data: assembled, preconditioner, deflation, system, stopping, krylov, recycling,
-formulation.
+In the order of the data: assembled_product, preconditioner, deflation, system, stopping, krylov,
+ritz_vectors, soft_fields, formulation.
 """

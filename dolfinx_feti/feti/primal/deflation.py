@@ -8,8 +8,8 @@ r"""Deflation: the coarse space V of the primal formulation, extended by further
 
 (Saad, Yeung, Erhel, Guyomarc'h, A deflated version of the conjugate gradient algorithm, 2000;
 docs/theory.md). The Krylov method converges as if the spectrum of A on the spans of V and W did not
-exist: these are the *deflated* directions. ``recycling`` computes W from earlier solves; here W is
-made A-orthogonal to V (*balanced*) and multiplied with A, once for each matrix.
+exist: these are the *deflated* directions. W comes from ``ritz_vectors`` or ``soft_fields``. Here
+it is made A-orthogonal to V (*balanced*) and multiplied with A, once for each matrix.
 """
 
 from __future__ import annotations

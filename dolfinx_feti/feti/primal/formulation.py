@@ -33,11 +33,8 @@ from dolfinx_feti.feti.pattern import Pattern
 from dolfinx_feti.feti.primal.deflation import DeflationSpace, create_deflation_space
 from dolfinx_feti.feti.primal.krylov.registry import KRYLOV_METHODS, select_method
 from dolfinx_feti.feti.primal.preconditioner import PrimalPreconditioner
-from dolfinx_feti.feti.primal.recycling import (
-    STORED_ITERATIONS_PER_VECTOR,
-    recycled_vectors,
-    soft_fields,
-)
+from dolfinx_feti.feti.primal.ritz_vectors import STORED_ITERATIONS_PER_VECTOR, recycled_vectors
+from dolfinx_feti.feti.primal.soft_fields import soft_fields
 from dolfinx_feti.feti.primal.stopping import InterfaceErrorTest, StoppingTest
 from dolfinx_feti.feti.primal.system import PrimalSystem
 from dolfinx_feti.feti.regularity.detection import (

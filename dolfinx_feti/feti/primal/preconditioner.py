@@ -22,7 +22,7 @@ from dolfinx_feti.feti.coarse.averaged import AveragedBasis
 from dolfinx_feti.feti.coarse.energy import Combinations
 from dolfinx_feti.feti.interface.copies import Copies
 from dolfinx_feti.feti.pattern import Pattern, torn_symmetric_part
-from dolfinx_feti.feti.primal.assembled import create_assembled_product
+from dolfinx_feti.feti.primal.assembled_product import create_assembled_product
 from dolfinx_feti.feti.setup import Inertia, Setup, set_up
 from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
 from dolfinx_feti.runtime.arrays import Array

@@ -19,7 +19,11 @@ from dolfinx_feti.feti.coarse.adaptive import (
     MIN_STEPS,
     adaptive_columns,
 )
-from dolfinx_feti.feti.primal.assembled import copy_block, create_assembled_product, load_block_code
+from dolfinx_feti.feti.primal.assembled_product import (
+    copy_block,
+    create_assembled_product,
+    load_block_code,
+)
 
 SEED = 2013
 ADAPTIVE = "dolfinx_feti.feti.coarse.adaptive"

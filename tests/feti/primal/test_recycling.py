@@ -17,10 +17,11 @@ from hand_torn import softened
 
 from dolfinx_feti.feti.coarse.solver import CoarseSolver
 from dolfinx_feti.feti.interface import copies
-from dolfinx_feti.feti.primal import deflation, recycling
+from dolfinx_feti.feti.primal import deflation, ritz_vectors
 from dolfinx_feti.feti.primal.deflation import create_deflation_space
 from dolfinx_feti.feti.primal.krylov.conjugate_gradients import conjugate_gradients
-from dolfinx_feti.feti.primal.recycling import MAX_RITZ_VALUE, recycled_vectors, soft_fields
+from dolfinx_feti.feti.primal.ritz_vectors import MAX_RITZ_VALUE, recycled_vectors
+from dolfinx_feti.feti.primal.soft_fields import soft_fields
 from dolfinx_feti.feti.primal.stopping import StoppingTest
 from dolfinx_feti.feti.solve_info import DeflationVectors
 from dolfinx_feti.runtime import collective
@@ -102,7 +103,7 @@ def test_iteration_waits_three_times(count, monkeypatch, torn_grid, create_prima
     _, system = deflated(primal, primal.system, DeflationVectors(W, W))
     f = random_part(primal.system.copies.size, seed=7)
     calls = []
-    for module in (copies, deflation, recycling, collective):
+    for module in (copies, deflation, ritz_vectors, collective):
         count_calls(monkeypatch, module, "total_of", calls)
     count_calls(monkeypatch, CoarseSolver, "solve", calls)
     ends = []

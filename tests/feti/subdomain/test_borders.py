@@ -14,7 +14,7 @@ from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.coarse.assembly import BlockPattern, CoarseAssembler, add_element
 from dolfinx_feti.feti.coarse.basis import LocalCoarseBasis
 from dolfinx_feti.feti.coarse.dofmap import CoarseDofMap
-from dolfinx_feti.feti.primal.assembled import SharedBlock, add_block, load_block_code
+from dolfinx_feti.feti.primal.assembled_product import SharedBlock, add_block, load_block_code
 from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts
 from dolfinx_feti.feti.subdomain.factors.packed import TILE, PackedMatrix
 from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace, pack

@@ -31,12 +31,7 @@ from dolfinx_feti.feti.subdomain.failures import on_subdomains
 from dolfinx_feti.feti.subdomain.schur import FormedSchurComplement, SchurComplement
 from dolfinx_feti.feti.subdomain.schur_operator import FormedSchurOperator, SchurOperator
 from dolfinx_feti.runtime.arrays import Array, Indices, Single, concatenate
-from dolfinx_feti.runtime.native import load, pointer
-
-DECLARATIONS = """
-void copy_block(int n, const double *S, int b, const int *rows, double *block);
-void add_block(int n, float *A, int b, const int *rows, const double *block);
-"""
+from dolfinx_feti.runtime.native import load_with_header, pointer
 
 #: ``block(j, rows)`` returns the block of S_j on b of its rows, in any order, (b (b + 1) / 2,).
 #: Subdomains of this process are numbered either on it, or over all processes. Each function that
@@ -61,15 +56,14 @@ class SharedBlock:
 class AssembledProduct(ABC):
     """Product with the assembled operator restricted to one subdomain, T_i A T_iᵀ.
 
-    A product is not collective: the constructor has received the blocks of neighbours. The first
-    product of a subdomain assembles its matrix, which is stored until that of another subdomain.
+    A product is not collective: the constructor fetches what neighbours contribute.
     """
 
     @abstractmethod
     def apply(self, i: int, X: Array) -> Array:
         """Return T_i A T_iᵀ X for subdomain i of this process, (n_{Γ,i}, k) → (n_{Γ,i}, k).
 
-        Products with the same i should follow each other: each change of i assembles a matrix.
+        Products with the same i should follow each other: a change of i may assemble a matrix.
         """
 
 
@@ -86,7 +80,11 @@ def create_assembled_product(S: SchurOperator, copies: Copies) -> AssembledProdu
 
 
 class ProductWithNeighbours(AssembledProduct):
-    """T_i A T_iᵀ of formed Schur complements, in single precision."""
+    """T_i A T_iᵀ of formed Schur complements, in single precision.
+
+    The first product of a subdomain assembles its matrix, which is stored until that of another
+    subdomain.
+    """
 
     def __init__(self, S: Sequence[FormedSchurComplement], copies: Copies) -> None:
         """Exchange the blocks of neighbours. Collective.
@@ -130,12 +128,12 @@ class ProductWithoutNeighbours(AssembledProduct):
     def __init__(self, S: Sequence[SchurComplement], copies: Copies) -> None:
         """Compute δ^−½; for dofs with a prescribed value, which alone have δ = 0, it is one."""
         self._S = S
-        self._blocks = copies.rows
+        self._rows = copies.rows
         self._root = np.where(copies.delta > 0.0, copies.delta, 1.0)[:, None] ** -0.5  # δ^−½
 
     def apply(self, i: int, X: Array) -> Array:
         """Return δ^−½ S_i δ^−½ X, (n_{Γ,i}, k)."""
-        root = self._root[self._blocks[i]]
+        root = self._root[self._rows[i]]
         return root * self._S[i].multiply(root * X)
 
 
@@ -290,7 +288,7 @@ def _exchange_blocks(
 
 def load_block_code(comm: MPI.Comm) -> Any:
     """Load the C code, after compiling it at its first use. Collective."""
-    return load(Path(__file__).with_name("assembled.c"), DECLARATIONS, comm)
+    return load_with_header(Path(__file__).with_name("assembled_product.c"), comm)
 
 
 def copy_block(code: Any, S_j: FormedSchurComplement, rows: Indices) -> Array:

@@ -2,17 +2,12 @@
 //
 // SPDX-License-Identifier: LGPL-3.0-or-later
 //
-// Blocks of symmetric matrices on b of their rows: the lower triangle of the block, row by row,
-// (b (b + 1) / 2).
+// Blocks of symmetric matrices on some of their rows; arguments: assembled_product.h.
 
 #include <stddef.h>
 
-// Copy a block of S.
-//   n:      order of S
-//   S:      its lower triangle column by column, LAPACK's packed format, (n (n + 1) / 2)
-//   b:      number of rows
-//   rows:   rows of S, in any order, (b)
-//   block:  the block on these rows, output, (b (b + 1) / 2)
+#include "assembled_product.h"
+
 void copy_block(int n, const double *S, int b, const int *rows, double *block)
 {
     for (int k = 0; k < b; ++k) {
@@ -26,12 +21,6 @@ void copy_block(int n, const double *S, int b, const int *rows, double *block)
     }
 }
 
-// Add a block to the lower triangle of A, diagonal included.
-//   n:      order of A
-//   A:      the matrix column by column, (n, n)
-//   b:      number of rows
-//   rows:   rows of A, ascending, (b)
-//   block:  the block on these rows, (b (b + 1) / 2)
 void add_block(int n, float *A, int b, const int *rows, const double *block)
 {
     for (int k = 0; k < b; ++k) {
