@@ -256,7 +256,7 @@ class SolverCache:
             pattern,
             self._matrix_objects,
             self._preconditioner_objects,
-            allow_single_precision=not requests_dual(pattern.options, pattern.subsolvers),
+            is_primal=not requests_dual(pattern.options, pattern.subsolvers),
         )
         if not _uses_primal(pattern, setup.inertia):
             return self._create_dual(pattern, setup)

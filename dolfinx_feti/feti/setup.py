@@ -87,7 +87,7 @@ def set_up(
     matrix_objects: Lifetime,
     preconditioner_objects: Lifetime,
     *,
-    allow_single_precision: bool = False,
+    is_primal: bool = False,
 ) -> Setup:
     """Compute S, the weights of the copies, K⁺ and the modes for the present matrix. Collective.
 
@@ -95,9 +95,9 @@ def set_up(
         pattern: All that depends on the pattern.
         matrix_objects: Owner of S.
         preconditioner_objects: Owner of K⁺.
-        allow_single_precision: Whether K⁺ serves in the preconditioner of the primal form only.
-            Single precision suffices then; in addition, the modes are chosen for a coarse space
-            with adaptive columns, which only this form has.
+        is_primal: Whether K⁺ is for the primal form, which uses it as a preconditioner only. Then
+            factors may be in single precision, and the coarse space may have adaptive columns,
+            which reduce the number of soft modes.
 
     Raises:
         SetUpError: A factorisation failed, or the matrix is singular inside of a subdomain.
@@ -107,7 +107,7 @@ def set_up(
     with event("FETIGluing"):
         delta = SCALINGS[pattern.options.scaling](torn)
     inverse, inertia = _set_up_inverse(
-        pattern, operator, preconditioner_objects, allow_single_precision=allow_single_precision
+        pattern, operator, preconditioner_objects, is_primal=is_primal
     )
     return Setup(operator, delta, inverse, inertia)
 
@@ -124,17 +124,13 @@ def to_double_precision(pattern: Pattern, setup: Setup, preconditioner_objects: 
         return setup
     setup.inverse.destroy()  # frees memory now; its owner destroys it again, without effect
     inverse, inertia = _set_up_inverse(
-        pattern, setup.operator, preconditioner_objects, allow_single_precision=False
+        pattern, setup.operator, preconditioner_objects, is_primal=False
     )
     return replace(setup, inverse=inverse, inertia=inertia)
 
 
 def _set_up_inverse(
-    pattern: Pattern,
-    operator: SchurOperator,
-    preconditioner_objects: Lifetime,
-    *,
-    allow_single_precision: bool,
+    pattern: Pattern, operator: SchurOperator, preconditioner_objects: Lifetime, *, is_primal: bool
 ) -> tuple[GeneralizedInverse, Inertia]:
     """Compute K⁺ with the modes of all subdomains, and count negative eigenvalues. Collective.
 
@@ -142,15 +138,14 @@ def _set_up_inverse(
         pattern: All that depends on the pattern.
         operator: S, and K_II⁻¹.
         preconditioner_objects: Owner of K⁺.
-        allow_single_precision: Whether K⁺ serves in a primal preconditioner only (:func:`set_up`).
+        is_primal: Whether K⁺ is for the primal form; see :func:`set_up`.
     """
     torn = pattern.torn
     near_kernel = torn.near_kernel()
     options = SoftModeOptions(
         max_count=pattern.options.coarse_modes,
         threshold=pattern.options.coarse_threshold,
-        # Adaptive columns belong to the primal form, whose K⁺ is a preconditioner.
-        has_adaptive_columns=allow_single_precision and pattern.options.coarse_adaptive > 0,
+        has_adaptive_columns=is_primal and pattern.options.coarse_adaptive > 0,
     )
 
     def create() -> GeneralizedInverse:
@@ -160,7 +155,7 @@ def _set_up_inverse(
             near_kernel,
             pattern.fixed,
             options,
-            allow_single_precision=allow_single_precision,
+            allow_single_precision=is_primal,
         )
 
     with event("FETIFactor"), event("FETIModes"):

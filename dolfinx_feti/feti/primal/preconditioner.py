@@ -108,7 +108,7 @@ def create_symmetric_part_preconditioner(
             pattern = replace(
                 pattern, torn=torn, is_symmetric=True, analysis=pattern.symmetric_part_analysis
             )
-            setup = set_up(pattern, setup_objects, within, allow_single_precision=True)
+            setup = set_up(pattern, setup_objects, within, is_primal=True)
             return create_preconditioner(pattern, setup, within)
     except SingularError:  # the symmetric part is singular, but K may be regular
         raise SetUpError(

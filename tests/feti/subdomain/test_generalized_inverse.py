@@ -203,7 +203,7 @@ def test_rough_factors_only_where_they_precondition(stiff, torn_grid, read_patte
 
     problem = torn_grid((2, 2), (2, 2), components=2, change=tie)
     read = read_pattern(problem.A, interior="eliminate")
-    rough = set_up(read, lifetime, lifetime, allow_single_precision=True)
+    rough = set_up(read, lifetime, lifetime, is_primal=True)
     single = {K_i.factor.is_single_precision for K_i in rough.inverse.blocks}
     agree(single <= {not stiff}, single)
     y = np.random.default_rng(SEED + 5).standard_normal(read.torn.n)

@@ -306,9 +306,7 @@ def test_adaptive_columns_take_the_place_of_soft_modes(
     """In the primal form; not where stress takes a share of the stiffness away."""
     problem = torn_grid((2, 3), (16, 2), components=2, change=softened(taken))
     options = {"interior": "eliminate", "coarse_adaptive": adaptive, "coarse_threshold": 0.5}
-    setup = set_up(
-        read_pattern(problem.A, **options), lifetime, lifetime, allow_single_precision=True
-    )
+    setup = set_up(read_pattern(problem.A, **options), lifetime, lifetime, is_primal=True)
     agree((COMM.allreduce(sum(modes.n_soft for modes in setup.inverse.modes)) > 0) == found)
 
 
