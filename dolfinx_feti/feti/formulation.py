@@ -93,7 +93,7 @@ class Formulation(Protocol):
         target: float,
         max_it: int,
         monitor: Monitor,
-        error: ErrorTest | None = None,
+        error_test: ErrorTest | None = None,
         allow_indefinite: bool = True,
     ) -> tuple[Array, KrylovInfo]:
         """Solve A x = r for an assembled right-hand side. Collective.
@@ -107,7 +107,7 @@ class Formulation(Protocol):
             target: Largest ‖r − A x‖ that ends the Krylov method.
             max_it: Largest number of iterations.
             monitor: Called with each iteration and its ‖r − A x‖.
-            error: Test of η that the solution has to pass as well; None if the residual alone
+            error_test: Test of η that the solution has to pass as well; None if the residual alone
                 decides. The dual formulation ignores it (``measures_error``).
             allow_indefinite: Whether to solve if A is indefinite. A method that does not depend on
                 the signs of eigenvalues ignores it.

@@ -20,7 +20,7 @@ option gives that method a tolerance, and after :data:`MAX_FRESH_STARTS` fresh s
 What a solution has to meet is in ``_Goal``, and what was measured of it in ``_Iterate``. Three
 tests use them: ``_is_finished`` and ``_has_gained`` decide about another start,
 ``_meets_tolerances`` about the converged reason. The Krylov method gets the bounds of ‖r‖ and η as
-arguments ``target`` and ``error`` of ``Formulation.solve``.
+arguments ``target`` and ``error_test`` of ``Formulation.solve``.
 
 Options of the solver are in ``formulation.pattern.options``; a number below becomes an option by a
 field of ``FETIOptions``.
@@ -298,7 +298,7 @@ class _OuterLoop:
                 r,
                 u_D,
                 target=TARGET_FACTOR * max_norm_of_start,
-                error=self._error_test(best),
+                error_test=self._error_test(best),
                 max_it=self._goal.max_it - iterations,
                 monitor=monitors.for_start(done, is_first=iterations_before == 0 and not starts),
                 allow_indefinite=self._allow_indefinite,

@@ -109,7 +109,7 @@ class DualFormulation:
         target: float,
         max_it: int,
         monitor: Monitor,
-        error: ErrorTest | None = None,
+        error_test: ErrorTest | None = None,
         allow_indefinite: bool = True,
     ) -> tuple[Array, KrylovInfo]:
         """Solve for an assembled right-hand side. Collective.
@@ -121,7 +121,7 @@ class DualFormulation:
             target: Norm of the residual of the assembled system that ends the Krylov method.
             max_it: Largest number of iterations.
             monitor: Called with each iteration and the norm of that residual.
-            error: Not used: η needs a displacement, which the recovery computes after the
+            error_test: Not used: η needs a displacement, which the recovery computes after the
                 iterations.
             allow_indefinite: Not used: GMRES solves with indefinite matrices.
 

@@ -128,7 +128,7 @@ class PrimalFormulation:
         target: float,
         max_it: int,
         monitor: Monitor,
-        error: ErrorTest | None = None,
+        error_test: ErrorTest | None = None,
         allow_indefinite: bool = True,
     ) -> tuple[Array, KrylovInfo]:
         """Solve for an assembled right-hand side and prescribed values. Collective.
@@ -140,7 +140,7 @@ class PrimalFormulation:
             target: Largest ‖r − A z‖ that is accepted.
             max_it: Largest number of iterations.
             monitor: Called with the number of iterations and ‖r − A z‖.
-            error: Test that the estimated error has to pass as well; None to skip it.
+            error_test: Test that the estimated error has to pass as well; None to skip it.
             allow_indefinite: Whether the solution is wanted if the matrix is indefinite.
 
         Returns:
@@ -152,7 +152,7 @@ class PrimalFormulation:
             x_Γ, info, basis = method.solve(
                 self.system,
                 self._condense(f),
-                StoppingTest(target, max_it, self._error_test_on_interface(error)),
+                StoppingTest(target, max_it, self._error_test_on_interface(error_test)),
                 monitor=monitor,
                 stored_iterations=STORED_ITERATIONS_PER_VECTOR * self.max_ritz_vectors,
                 allow_indefinite=allow_indefinite,
@@ -234,27 +234,27 @@ class PrimalFormulation:
         """Return η with its residual as an assembled vector, (N,), instead of by copies."""
         return None if error is None else replace(error, residual=self._assembled(error.residual))
 
-    def _error_test_on_interface(self, error: ErrorTest | None) -> InterfaceErrorTest | None:
+    def _error_test_on_interface(self, error_test: ErrorTest | None) -> InterfaceErrorTest | None:
         """Return the test of η on the interface; None if its tolerance is infinite. Collective.
 
         Args:
-            error: The test with vectors of the assembled problem.
+            error_test: The test with vectors of the assembled problem.
         """
-        if error is None or np.isinf(error.error_tolerance):
+        if error_test is None or np.isinf(error_test.error_tolerance):
             return None
         copies = self.preconditioner.copies
         torn = self.pattern.torn
-        components = error.norms.components_of(copies.dofs)
-        second_reference = torn.tear(error.second_reference)[copies.dofs]
+        components = error_test.norms.components_of(copies.dofs)
+        second_reference = torn.tear(error_test.second_reference)[copies.dofs]
         return InterfaceErrorTest(
-            norms=error.norms,
+            norms=error_test.norms,
             copies=copies,
             components=components,
-            solution=torn.tear(error.x)[copies.dofs],
-            reference_squares=error.norms.weighted_squares(
+            solution=torn.tear(error_test.x)[copies.dofs],
+            reference_squares=error_test.norms.weighted_squares(
                 second_reference, copies.delta, components
             ),
-            error_tolerance=error.error_tolerance,
+            error_tolerance=error_test.error_tolerance,
         )
 
 
