@@ -18,7 +18,7 @@ import numpy as np
 from dolfinx_feti.diagnosis.advice import Advice, advise
 from dolfinx_feti.diagnosis.cell_volumes import CellVolumes
 from dolfinx_feti.diagnosis.figures import Figures, collect_figures, figure_text
-from dolfinx_feti.feti.report import Report, table
+from dolfinx_feti.feti.report import Report, format_report
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import allgather_rows
 from dolfinx_feti.runtime.cost import timed_solve
@@ -75,7 +75,7 @@ class Diagnosis:
 
     def __str__(self) -> str:
         """Return the solver's report, a row for each measurement, and the advice."""
-        report = "" if self.report is None else textwrap.dedent(table(self.report))
+        report = "" if self.report is None else textwrap.dedent(format_report(self.report))
         rows = [] if self.figures is None else self.figures.rows()
         rows.append(("iterations", f"{self.iterations} ({self.method or 'none'})"))
         seconds = ", ".join(f"{name} {t:.2f}" for name, t in self.seconds.items())

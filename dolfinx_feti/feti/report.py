@@ -87,11 +87,11 @@ class Report:
         return self.error_estimate
 
 
-def collect(formulation: Formulation, info: SolveInfo, *, age: int) -> Report:
-    """Compute the figures over all processes. Collective.
+def create_report(formulation: Formulation, info: SolveInfo, *, age: int) -> Report:
+    """Create the report of a formulation and its last solve, over all processes. Collective.
 
     Args:
-        formulation: What is set up.
+        formulation: The formulation that is set up.
         info: How the last solve has ended.
         age: Number of matrices since the one that the preconditioner was built for.
     """
@@ -136,8 +136,8 @@ def collect(formulation: Formulation, info: SolveInfo, *, age: int) -> Report:
     )
 
 
-def table(report: Report) -> str:
-    """Format a report for a PETSc viewer; the functions below format one row each."""
+def format_report(report: Report) -> str:
+    """Return the table of a report, a line for each row; the functions below format one row each."""
     options = report.options
     smallest, largest = report.dofs_local
     rows = [

@@ -31,7 +31,7 @@ from dolfinx_feti.feti.formulation import Formulation
 from dolfinx_feti.feti.lifting import RightHandSides
 from dolfinx_feti.feti.options import FETIOptions, check_petsc_options, read_options, warn_of_unread
 from dolfinx_feti.feti.outer_loop import precondition, solve_assembled
-from dolfinx_feti.feti.report import Report, collect, table
+from dolfinx_feti.feti.report import Report, create_report, format_report
 from dolfinx_feti.feti.setup import Inertia
 from dolfinx_feti.feti.solve_info import SolveInfo
 from dolfinx_feti.feti.solve_settings import SolveSettings, Tolerances
@@ -292,7 +292,7 @@ class FETI:
         """Print the table of subdomains, kernels, multipliers, coarse problem and factors."""
         report = self.report()
         if report is not None:
-            for row in table(report).splitlines(keepends=True):
+            for row in format_report(report).splitlines(keepends=True):
                 viewer.printfASCII(row)  # the viewer indents each call
 
     def destroy(self, ksp: PETSc.KSP | None = None) -> None:
@@ -455,10 +455,10 @@ class FETI:
     # -- output for the user ----------------------------------------------------------------------
 
     def report(self) -> Report | None:
-        """Collect the figures of ``-ksp_view``; None before the first solve. Collective."""
+        """Return the figures of ``-ksp_view``; None before the first solve. Collective."""
         if self.formulation is None:
             return None
-        return collect(self.formulation, self.info, age=self.age)
+        return create_report(self.formulation, self.info, age=self.age)
 
     def _print_table_once(self, ksp: PETSc.KSP) -> None:
         """Print the KSP's tolerances and the table, once for each pattern. Collective."""

@@ -28,7 +28,7 @@ from dolfinx_feti import FETI
 from dolfinx_feti.diagnosis import advice
 from dolfinx_feti.feti.converged_reason import failure_message
 from dolfinx_feti.feti.options import CHOICES, FETIOptions
-from dolfinx_feti.feti.report import table
+from dolfinx_feti.feti.report import format_report
 from dolfinx_feti.feti.setup import Inertia
 from dolfinx_feti.feti.solve_info import Accuracy
 from dolfinx_feti.problems.iteration.failures import CLOSER_START, FAILURES, SMALLER_LOAD_STEPS
@@ -131,10 +131,10 @@ def test_tolerance_out_of_reach_ends_at_rounding(options, torn_grid, create_ksp)
     residual, floor = shares(problem, values, x)
     equal(context.floor, floor, 1e-12)
     agree(max(context.residual, residual) <= floor < 1e-13, (context.residual, residual, floor))
-    agree("at the floor of rounding" in table(context.report()))
+    agree("at the floor of rounding" in format_report(context.report()))
     ksp.setTolerances(rtol=1e-8)
     attempt(ksp, problem, values)
-    agree(np.isnan(context.floor) and "rounding" not in table(context.report()))
+    agree(np.isnan(context.floor) and "rounding" not in format_report(context.report()))
 
 
 @pytest.mark.parametrize("rtol", [1e-15, 1e-20])

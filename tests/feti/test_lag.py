@@ -16,7 +16,7 @@ from hand_torn import own_subdomains, random_values, solve, solved
 
 from dolfinx_feti import FETI
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.feti.report import table
+from dolfinx_feti.feti.report import format_report
 from dolfinx_feti.feti.subdomain.schur_operator import create_schur_operator
 from dolfinx_feti.torn.matrix import set_condensed_pressures
 
@@ -73,7 +73,7 @@ def test_serves_later_matrices(kind, interior, primal):
         ages.append(check(problem, ksp))
     agree(ages == [0, 1, 2, 0, 1], ages)
     report = ksp.getPythonContext().report()
-    agree(report.age == 1 and "dirichlet, set up 1 matrix ago" in table(report))
+    agree(report.age == 1 and "dirichlet, set up 1 matrix ago" in format_report(report))
     scale(problem, [1.1, 1.0, 1.0, 1.0])
     ksp.getPythonContext().renew()
     agree(check(problem, ksp) == 0)
@@ -117,7 +117,7 @@ def test_ritz_vectors_serve_later_matrices(interior, lag, primal):
     agree(counts[3][0] == counts[3][4] == 0 and max(counts[3]) <= 3, counts)
     if lag:
         agree(min(counts[3][2:4]) > 0, counts)
-        agree("Ritz vectors" not in table(context.report()))
+        agree("Ritz vectors" not in format_report(context.report()))
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ import ufl
 
 from dolfinx_feti import ConvergenceError, LinearProblem
 from dolfinx_feti.feti.accuracy import ComponentNorms
-from dolfinx_feti.feti.report import table
+from dolfinx_feti.feti.report import format_report
 from dolfinx_feti.scalars.border import Border
 from dolfinx_feti.scalars.bordered import BorderedSolver
 
@@ -424,7 +424,7 @@ def test_both_numbers_are_shown():
     problem = torn(spring_bar(bar_mesh(2), 1e6), 6, "shown_")
     problem.solve()
     feti = problem.solver.getPythonContext()
-    rows = table(feti.report())
+    rows = format_report(feti.report())
     agree(f"{feti.residual:.1e} of the load" in rows, rows)
     agree(f"{feti.error_estimate:.1e} of the solution" in rows, rows)
     step = problem.history[0]
