@@ -3,10 +3,15 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The dual formulation, the paper's method, with unknowns (λ, s).
 
-λ are the multipliers of the gluing, and s the amplitudes of the motions of the subdomains. A solve
-begins in ``formulation``, iterates in ``krylov`` on the operators of ``system``, and ends in
-``recovery``. The constraints are in ``interface/gluing``, M in ``preconditioners``, and the coarse
-problem in ``coarse/dual_problem``.
+λ are the multipliers of the gluing, and s the amplitudes of the motions of the subdomains. In one
+solve, ``DualFormulation.solve`` calls, in this order,
+
+1. ``DualSystem.start`` for λ₀ and s₀, which balance the load (``system``),
+2. ``krylov.solve`` for what has to be added to them (``krylov``, on the operators of ``system``),
+3. ``recover`` for the displacement u of λ and s (``recovery``).
+
+The constraints are in ``interface/gluing``, M in ``preconditioners``, and the coarse problem in
+``coarse/dual_problem``.
 
 Arrays and their shapes are those of one process: (m,) are its multipliers, (n_c,) the coarse
 unknowns of its subdomains, (n,) its torn dofs. The *dofs of K⁺* are all torn dofs if the interior

@@ -7,7 +7,8 @@ A solve of A z = r takes four steps:
 
 1. the torn load :math:`f = δ\, T r - K u_D` and the gap c (here),
 2. the balanced start :math:`(λ_0, s_0)` and its jump (``system``),
-3. the correction of :math:`(λ_0, s_0)` by the Krylov method (``krylov``),
+3. the correction that leads from :math:`(λ_0, s_0)` to :math:`(λ, s)`, by the Krylov method
+   (``krylov``),
 4. the displacement :math:`u = K^+(f - B^⊤ λ) + E s`, with its copies averaged (``recovery``).
 
 If the interior is eliminated, steps 2 to 4 are done on the interface, with S and the condensed load
@@ -131,7 +132,7 @@ class DualFormulation:
         f = self.torn_load(r, u_D)
         condensed = self._condense_if_eliminated(f)
         c = self.pattern.gluing.gap(u_D)
-        start, jump = self.system.start(condensed, c)  # (λ₀, s₀) and its jump
+        start, jump = self.system.start(condensed, c)  # (λ₀, s₀), and its jump
         correction, info = krylov.solve(
             self.system,
             jump,
@@ -144,7 +145,8 @@ class DualFormulation:
         if info.reason in NEGATIVE_CURVATURE and self.inertia.is_definite:
             # The dual system is positive definite, so the negative curvature is a rounding error.
             info = replace(info, reason=PETSc.KSP.ConvergedReason.ITERATING, needs_fresh_start=True)
-        u = recover(self.system, start + correction, condensed, c)
+        unknowns = start + correction  # (λ, s)
+        u = recover(self.system, unknowns, condensed, c)  # u = K⁺ (f − Bᵀ λ) + E s, averaged
         u = self._extend_if_eliminated(u, f)
         return np.where(self.pattern.fixed, u_D, u), info
 
@@ -161,7 +163,8 @@ class DualFormulation:
         f = self.torn_load(r, u_D)
         condensed = self._condense_if_eliminated(f)
         c = self.pattern.gluing.gap(u_D)
-        u = recover(self.system, self.system.balance(condensed), condensed, c)
+        start = self.system.balance(condensed)  # (λ₀, s₀)
+        u = recover(self.system, start, condensed, c)
         u = self._extend_if_eliminated(u, f)
         return np.where(self.pattern.fixed, 0.0, u)
 

@@ -109,14 +109,14 @@ def solve(
     max_it: int,
     monitor: Monitor,
 ) -> tuple[DualUnknowns, KrylovInfo]:
-    """Solve the dual system for the residual (r, 0) of a balanced start, by one run. Collective.
+    """Solve the dual system for the residual (r, 0) of a balanced (λ₀, s₀), by one run. Collective.
 
     A tolerance that the user has set for the Krylov method itself ends the run in place of the
     stopping test.
 
     Args:
         system: The dual system.
-        r: Jump of the start, (m,).
+        r: Jump of (λ₀, s₀), (m,).
         method: PETSc's name of the Krylov method, from :func:`select_method`.
         options: Options of the method.
         target: Norm ‖Tᵀ t‖ of the residual of the assembled system at which the run ends.
@@ -125,7 +125,7 @@ def solve(
         monitor: Called with each iteration and ‖Tᵀ t‖, or its estimate.
 
     Returns:
-        The correction of the start, and how the method ended: reason, iterations, Ritz values, and
+        The correction of (λ₀, s₀), and how the method ended: reason, iterations, Ritz values, and
         whether a fresh start has to follow. The correction is the last iterate if the method
         converged, and the best one otherwise.
     """
@@ -149,7 +149,7 @@ def solve(
         else:
             ksp.setConvergenceTest(test)
 
-        solution = owned.own(mat.createVecRight())
+        solution = owned.own(mat.createVecRight())  # the correction of (λ₀, s₀)
         rhs = owned.own(mat.createVecLeft())
         shell.write_residual(r, rhs)
         with event("FETIIterations"), python_errors(ksp):

@@ -15,21 +15,21 @@ from dolfinx_feti.feti.dual.system import DualSystem, DualUnknowns
 from dolfinx_feti.runtime.arrays import Array
 
 
-def recover(system: DualSystem, x: DualUnknowns, f: Array, c: Array) -> Array:
-    """Return u of x = (λ, s), with equal copies. Collective.
+def recover(system: DualSystem, unknowns: DualUnknowns, f: Array, c: Array) -> Array:
+    """Return the displacement u of (λ, s), with equal copies. Collective.
 
     Args:
         system: The dual system.
-        x: λ and s. If D = 0, λ alone determines the balance, and s is replaced by the one with the
-            smallest jump, in the norm of Q.
+        unknowns: λ and s. If D = 0, λ alone determines the balance, and s is replaced by the one
+            with the smallest jump, in the norm of Q.
         f: Load on the dofs of K⁺, (n,).
         c: Gap, (m,).
 
     Returns:
         u on the dofs of K⁺, (n,).
     """
-    u = system.inverse.solve(f - system.B.T @ x.lam)
-    u += system.coarse.prolong(x.s)  # u = K⁺ (f − Bᵀ λ) + E s
+    u = system.inverse.solve(f - system.B.T @ unknowns.lam)  # K⁺ (f − Bᵀ λ)
+    u += system.coarse.prolong(unknowns.s)  # u = K⁺ (f − Bᵀ λ) + E s
     jump = system.B @ u - c
     if system.has_exact_kernel:
         jump, w = system.project(jump)

@@ -22,7 +22,7 @@ Start and corrections satisfy the second row, so all iterates do, all residuals 
 the jump r is computed.
 
 The weight Q is diag(q), or M + diag(q) with a small q that makes Q definite
-(``coarse/projection``). In the second case :math:`y = Q (r - G w)` replaces M (r − G w), and
+(``coarse/dual_problem``). In the second case :math:`y = Q (r - G w)` replaces M (r − G w), and
 :math:`G^⊤ Q (r - G w) = D w` yields v = 0. If D = 0 and Q = diag(q), z_λ is that of the projected
 system (eq. 45), which does not contain s.
 """
@@ -120,13 +120,13 @@ class DualSystem:
         """Return F λ, (m,) → (m,). Collective."""
         return self.B @ self.inverse.solve(self.B.T @ lam)  # F λ = B K⁺ Bᵀ λ
 
-    def multiply(self, x: DualUnknowns) -> Array:
-        """Return the first row of the system times x = (λ, s), F λ − G s, (m,). Collective.
+    def multiply(self, unknowns: DualUnknowns) -> Array:
+        """Return the first row of the system times (λ, s), F λ − G s, (m,). Collective.
 
         The second row is zero for the corrections of the preconditioner, up to rounding errors.
         These are left out, because the preconditioner takes the second row of a residual as zero.
         """
-        return self.flexibility(x.lam) - self.G @ x.s  # F λ − G s
+        return self.flexibility(unknowns.lam) - self.G @ unknowns.s  # F λ − G s
 
     def balance(self, f: Array) -> DualUnknowns:
         """Compute (λ₀, s₀), which is balanced for a load f on the dofs of K⁺, (n,). Collective."""
