@@ -40,9 +40,9 @@ from dolfinx_feti.torn.matrix import Torn
 class Copies:
     """The rows of interface vectors, and for each row all copies of its dof on any process.
 
-    A *pair* is a row of this process with one copy of its dof. Of a dof with d copies each row has
-    d pairs, one of them with itself. For example, a dof with copies in the rows 3 and 8 has the
-    pairs (3, 3), (3, 8), (8, 3) and (8, 8).
+    A *pair* is a row of this process with one copy of its dof: a term in the sum of the copies. Of a
+    dof with d copies each row has d pairs, one of them with itself. For example, a dof with copies
+    in the rows 3 and 8 has the pairs (3, 3), (3, 8), (8, 3) and (8, 8).
 
     Attributes:
         comm: Communicator of the assembled problem.

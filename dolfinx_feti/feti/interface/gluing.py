@@ -30,10 +30,10 @@ from dolfinx_feti.torn.matrix import Torn
 
 
 @dataclass(frozen=True, slots=True)
-class CopyPairs:
-    """The pairs of copies of the free dofs that this process owns, one for each row of B_jump.
+class GluedPairs:
+    """Two copies of a dof for each row of B_jump, which glues them to each other.
 
-    A pair is two different copies of a dof and has no order, unlike the pairs of ``copies``.
+    They are all pairs of different copies of the free dofs that this process owns.
 
     Attributes:
         positions: Both copies as positions in the result of ``Torn.gather``, (pairs, 2).
@@ -68,7 +68,7 @@ class Gluing:
         """
         has_dirichlet_row = torn.is_dirichlet_copy & all_floating
         self._dirichlet_dofs = np.flatnonzero(has_dirichlet_row)
-        self._pairs = _find_pairs(torn)
+        self._pairs = _find_glued_pairs(torn)
         self.B = self._assemble(torn, self._pairs.signs)
         has_copies = (torn.tear(torn.multiplicity()) > 1) & ~torn.is_dirichlet_copy
         self.interface_dofs = np.flatnonzero(has_copies | has_dirichlet_row).astype(np.int32)
@@ -119,24 +119,24 @@ class Gluing:
         self.B.destroy()
 
 
-def _find_pairs(torn: Torn) -> CopyPairs:
+def _find_glued_pairs(torn: Torn) -> GluedPairs:
     """Find the pairs of copies of the free dofs that this process owns. Collective."""
     column_of_copy = torn.gather(torn.first_torn_dof + np.arange(torn.n, dtype=np.int64))
     is_free = torn.gather((~torn.is_dirichlet_copy).astype(np.int64)) > 0
     multiplicity = torn.multiplicity()
 
-    def sort_pairs() -> CopyPairs:
+    def sort_pairs() -> GluedPairs:
         """Return the pairs, each with its columns in ascending order, as PETSc needs them."""
-        positions = _pairs_of_copies(is_free, multiplicity)
+        positions = _all_pairs(is_free, multiplicity)
         order = np.argsort(column_of_copy[positions], axis=1)
         positions = np.take_along_axis(positions, order, axis=1)
         signs = np.where(order == 0, 1.0, -1.0)  # u_i − u_j for the pair (i, j) before sorting
-        return CopyPairs(positions, column_of_copy[positions], signs)
+        return GluedPairs(positions, column_of_copy[positions], signs)
 
     return on_all(sort_pairs, torn.comm)
 
 
-def _pairs_of_copies(is_free: Mask, multiplicity: Numbers) -> Numbers:
+def _all_pairs(is_free: Mask, multiplicity: Numbers) -> Numbers:
     """Return all pairs of copies of the free dofs that this process owns.
 
     Args:
