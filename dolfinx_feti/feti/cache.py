@@ -276,20 +276,23 @@ class SolverCache:
             return self._create_dual(pattern, setup)
 
     def _create_primal(
-        self, pattern: Pattern, preconditioner: PrimalPreconditioner, S: SchurOperator | None = None
+        self,
+        pattern: Pattern,
+        preconditioner: PrimalPreconditioner,
+        operator: SchurOperator | None = None,
     ) -> PrimalFormulation:
         """Create the primal formulation of the present matrix.
 
         Args:
             pattern: All that depends on the pattern.
             preconditioner: A new or an earlier preconditioner.
-            S: Schur complements of the present matrix; computed if not passed.
+            operator: Schur complements S of the present matrix; computed if not passed.
         """
-        if S is None:
-            S = set_up_operator(pattern, self._matrix_objects)
+        if operator is None:
+            operator = set_up_operator(pattern, self._matrix_objects)
         return create_primal_formulation(
             pattern,
-            S,
+            operator,
             preconditioner,
             self._matrix_objects,
             self._ritz_vectors,

@@ -82,22 +82,21 @@ class RightHandSides:
         Returns:
             A vector that the caller destroys: another reference to b, or a new vector.
         """
-        is_unchanged = not self.are_lifted
-        if is_unchanged and not self.needs_check:
+        if not (self.are_lifted or self.needs_check):
             return copy(b)  # another reference
         if not np.isfinite(b.norm()):
             return copy(b)  # the outer loop ends with DIVERGED_NANORINF
         x_D = np.where(torn.is_dirichlet, b.array_r, 0.0)
         force = prescribed_force(torn, x_D)
         if self.needs_check:
-            self._check(torn, b, force, prefix)
-        if is_unchanged:
+            self._warn_of_other_convention(torn, b, force, prefix)
+        if not self.are_lifted:
             return copy(b)
         unlifted = b.copy()
         unlifted.array[:] += force  # b_f = b̃_f + A_fD x_D
         return unlifted
 
-    def _check(self, torn: Torn, b: PETSc.Vec, force: Array, prefix: str) -> None:
+    def _warn_of_other_convention(self, torn: Torn, b: PETSc.Vec, force: Array, prefix: str) -> None:
         """Log a warning if b seems to have the other convention. Collective.
 
         Args:
@@ -107,7 +106,7 @@ class RightHandSides:
             prefix: Options prefix of the KSP.
         """
         multiple_if_wrong = 0.0 if self.are_lifted else 1.0
-        multiple = multiple_lifted(torn, b.array_r, force)
+        multiple = lifted_multiple(torn, b.array_r, force)
         if abs(multiple - multiple_if_wrong) <= MULTIPLE_TOLERANCE:
             text = NEVER_LIFTED if self.are_lifted else LIFTED_TWICE
             warn(text.format(prefix), torn.comm)
@@ -125,7 +124,7 @@ def prescribed_force(torn: Torn, x_D: Array) -> Array:
     return np.where(torn.is_dirichlet, 0.0, force)
 
 
-def multiple_lifted(torn: Torn, b: Array, force: Array) -> float:
+def lifted_multiple(torn: Torn, b: Array, force: Array) -> float:
     """Return the multiple of −A_fD x_D that a right-hand side seems to contain. Collective.
 
     Args:

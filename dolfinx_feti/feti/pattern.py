@@ -89,8 +89,8 @@ def create_pattern(
             "share it. Remove these entries, or tear the mesh so that they are one subdomain."
         )
     _require_entries(torn)
-    symmetric = torn.is_symmetric()
-    if not symmetric:
+    is_symmetric = torn.is_symmetric()
+    if not is_symmetric:
         _require_primal(options, subsolvers)
     with event("FETIGluing"):
         gluing = pattern_objects.own(Gluing(torn, all_floating=options.all_floating))
@@ -99,8 +99,8 @@ def create_pattern(
 
     symmetric_part_analysis: Analysis | None = None
     with event("FETIFactor"):
-        analysis = _analyse(torn, subdomains, options, subsolvers, symmetric=symmetric)
-        if not symmetric:
+        analysis = _analyse(torn, subdomains, options, subsolvers, symmetric=is_symmetric)
+        if not is_symmetric:
             with torn_symmetric_part(torn) as part:
                 symmetric_part_analysis = _analyse(
                     part, subdomains, options, subsolvers, symmetric=True
@@ -109,7 +109,7 @@ def create_pattern(
         options=options,
         subsolvers=subsolvers,
         torn=torn,
-        is_symmetric=symmetric,
+        is_symmetric=is_symmetric,
         bodies=find_bodies(torn),
         gluing=gluing,
         fixed=fixed,

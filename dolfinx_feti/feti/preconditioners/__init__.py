@@ -9,7 +9,8 @@ before ``coarse`` and ``dual`` in the order of the data because the weight Q of 
 problem contains M. Equations "(eq. 46)" are those of Augustin, Holzapfel, Steinbach 2014, who write
 M⁻¹ for M.
 
-A new preconditioner is a file like ``lumped`` and a line in ``registry``.
+A new preconditioner is a file like ``lumped``, a line in ``registry``, and its place in the order
+below.
 
 In the order of the data: base, dirichlet, lumped, identity, registry.
 """
