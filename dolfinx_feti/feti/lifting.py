@@ -96,7 +96,9 @@ class RightHandSides:
         unlifted.array[:] += force  # b_f = b̃_f + A_fD x_D
         return unlifted
 
-    def _warn_of_other_convention(self, torn: Torn, b: PETSc.Vec, force: Array, prefix: str) -> None:
+    def _warn_of_other_convention(
+        self, torn: Torn, b: PETSc.Vec, force: Array, prefix: str
+    ) -> None:
         """Log a warning if b seems to have the other convention. Collective.
 
         Args:

@@ -137,7 +137,7 @@ def create_report(formulation: Formulation, info: SolveInfo, *, age: int) -> Rep
 
 
 def format_report(report: Report) -> str:
-    """Return the table of a report, a line for each row; the functions below format one row each."""
+    """Return the table of a report, one line a row; the functions below format one row each."""
     options = report.options
     smallest, largest = report.dofs_local
     rows = [

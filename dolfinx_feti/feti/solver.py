@@ -47,12 +47,6 @@ from dolfinx_feti.torn.symmetry import is_symmetric
 Reason = PETSc.KSP.ConvergedReason
 logger = logging.getLogger("dolfinx_feti")
 
-#: Attribute of a KSP whose table is printed once; PETSc's ``-ksp_view`` prints it after each solve.
-VIEW_ONCE = "feti_view_once"
-
-#: Attribute of a KSP whose options belong to a problem, which reports those that nothing reads.
-OPTIONS_OF_PROBLEM = "feti_options_of_problem"
-
 #: Default relative tolerance on the residual of the assembled system.
 RTOL = 1e-8
 
@@ -112,7 +106,9 @@ class FETI:
         # Newton's method assembles its own right-hand sides: their convention needs no check.
         self._right_hand_sides = RightHandSides(are_lifted=lifted, needs_check=not newton)
         self._prefix: str | None = None  # until the options are read
+        self._logs_unread_options = True
         self._has_checked_options = False
+        self._prints_table = False
         self._viewed_pattern = 0  # number of the pattern whose table has been printed
         self._cache = SolverCache(FETIOptions(), SubsolverOptions(), newton=newton)
 
@@ -211,6 +207,16 @@ class FETI:
             yield
         finally:
             self._settings = before
+
+    def serve_problem(self, *, prints_table: bool) -> None:
+        """Leave it to a problem to log options that nothing reads.
+
+        Args:
+            prints_table: Whether the table of ``-ksp_view`` is printed once for each pattern. PETSc
+                would print it after each solve.
+        """
+        self._logs_unread_options = False
+        self._prints_table = prints_table
 
     # -- PETSc's callbacks ------------------------------------------------------------------------
 
@@ -462,7 +468,7 @@ class FETI:
 
     def _print_table_once(self, ksp: PETSc.KSP) -> None:
         """Print the KSP's tolerances and the table, once for each pattern. Collective."""
-        if self.formulation is None or not ksp.getAttr(VIEW_ONCE):
+        if self.formulation is None or not self._prints_table:
             return
         if self._cache.pattern_number == self._viewed_pattern:
             return
@@ -478,7 +484,7 @@ class FETI:
 
     def _warn_of_unread_options(self, ksp: PETSc.KSP) -> None:
         """Log the options that nothing has read, once, unless a problem logs them. Collective."""
-        if self._has_checked_options or ksp.getAttr(OPTIONS_OF_PROBLEM):
+        if self._has_checked_options or not self._logs_unread_options:
             return
         self._has_checked_options = True
         prefix = self._prefix or ""

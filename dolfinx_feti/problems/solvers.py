@@ -18,7 +18,7 @@ from petsc4py import PETSc
 
 from dolfinx_feti.feti.options import may_be_solver_option, read_options, warn_of_unread
 from dolfinx_feti.feti.solve_settings import LooseError
-from dolfinx_feti.feti.solver import FETI, OPTIONS_OF_PROBLEM, VIEW_ONCE
+from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.solver_options import (
     BOUNDS_TEXT,
     FOREIGN_PREFIXES,
@@ -124,12 +124,11 @@ def _set_from_options(
             require_no_bounds(prefix)
             ineffective = options_without_effect(prefix)
             _warn_of_ineffective(ineffective, prefix, A)
-            views_once = PETSc.Options(prefix).getString("ksp_view", "none") in PLAIN_VIEWS
-            ksp.setAttr(VIEW_ONCE, views_once)
+            prints_table = PETSc.Options(prefix).getString("ksp_view", "none") in PLAIN_VIEWS
             # hidden: options that choose another solver or its parts, and a view that FETI prints
             hidden = [*SOLVER_CHOICES]
             hidden += [name for name in ineffective if name.startswith(FOREIGN_PREFIXES)]
-            if views_once:
+            if prints_table:
                 hidden.append("ksp_view")
             with withheld(prefix + name for name in hidden):  # PETSc would choose another solver
                 # the type, then its context, then the options, which configure the context
@@ -143,7 +142,7 @@ def _set_from_options(
             for name in (*hidden, *ineffective):  # withheld from PETSc, or logged above
                 unread.pop(name, None)
             solver.setAttr(UNREAD_ATTRIBUTE, unread)
-            ksp.setAttr(OPTIONS_OF_PROBLEM, True)
+            feti.serve_problem(prints_table=prints_table)
         # the option makes PETSc raise its code; the package raises ConvergenceError with a remedy.
         # A script may set it later, see failures_as_reasons.
         solver.setErrorIfNotConverged(False)

@@ -40,8 +40,8 @@ from dolfinx_feti.torn.matrix import Torn
 class Copies:
     """The rows of interface vectors, and for each row all copies of its dof on any process.
 
-    A *pair* is a row of this process with one copy of its dof: a term in the sum of the copies. Of a
-    dof with d copies each row has d pairs, one of them with itself. For example, a dof with copies
+    A *pair* is a row of this process with one copy of its dof: a term in the sum of the copies. The
+    row of a dof with d copies has d pairs, one of them with itself. For example, a dof with copies
     in the rows 3 and 8 has the pairs (3, 3), (3, 8), (8, 3) and (8, 8).
 
     Attributes:

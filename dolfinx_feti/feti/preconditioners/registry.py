@@ -3,8 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The preconditioners of the dual formulation by name.
 
-A new one is a file in this folder, an entry here, and its place in the order of ``__init__``. Its name becomes a value of ``feti_pc_type``,
-and choosing it selects the dual formulation, unless it is the default (``FETIOptions.pc_type``).
+A new one is a file in this folder, an entry here, and a name in the order of ``__init__``. Its name
+here becomes a value of ``feti_pc_type``, and choosing it selects the dual formulation, unless it is
+the default (``FETIOptions.pc_type``).
 """
 
 from __future__ import annotations
