@@ -3,7 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Contact with rigid tools, frictionless: a balloon, a stent, a clamp, a plate, the spine.
 
-In the order of the data: tools, points, surface, contact.
+A new shape is a function in ``tools``, like ``sphere``.
+
+- ``points`` and ``surface`` have values at the quadrature points of a surface.
+- ``evaluation`` has those of a contact, ``crossing`` detects a surface that passes through a tool.
+- ``contact`` has the energy, the updates of λ, and what a user reads.
+
+In the order of the data: tools, points, surface, evaluation, crossing, contact.
 """
 
 from dolfinx_feti.contact.contact import Contact

@@ -16,10 +16,9 @@ Mech. Engrg. 92 (1991).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -30,11 +29,14 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
+from dolfinx_feti.contact.crossing import CrossingDetection
+from dolfinx_feti.contact.evaluation import ContactEvaluation
+from dolfinx_feti.contact.points import create_point_space
 from dolfinx_feti.contact.surface import Surface
 from dolfinx_feti.contact.tools import Tool
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.mechanics.values import require_positive
-from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.runtime.arrays import Array, Indices
 
 __all__ = ["Contact"]
 
@@ -64,20 +66,24 @@ MAX_BENDING_DEPTH = 1e-2
 ROUNDING_STEP = 1e-7
 
 #: A multiplier, in the unit of λ, with which no point is in contact.
-RELEASED = -1e100
-
-#: States between two others at which has_jumped evaluates the tool. A tool thinner than 1/32 of the
-#: way can be missed; twice as many double the time of a step that turns ∇g.
-STATES_BETWEEN = 31
+RELEASED_MULTIPLIER = -1e100
 
 
 @dataclass(frozen=True, slots=True)
-class _Mark:
-    """A state of body and tool."""
+class _Prepared:
+    """What a contact has since a problem has prepared it.
 
-    u: Array  #: Displacement with ghosts
-    numbers: list[Array]  #: Values of the Constants of the tool
-    normals: Array  #: ∇g at the points, (points, d)
+    Attributes:
+        values: Values at the points of the surface.
+        crossing: Detection of points that have crossed the tool.
+        pressure: The contact pressure, on a mesh of the surface only.
+        point_of_dof: Number of the point of each dof of the pressure, (owned cells, points).
+    """
+
+    values: ContactEvaluation
+    crossing: CrossingDetection
+    pressure: dolfinx.fem.Function
+    point_of_dof: Indices
 
 
 class Contact:
@@ -96,8 +102,7 @@ class Contact:
         energy: Π_c, a form of rank zero; :class:`~dolfinx_feti.NonlinearProblem` adds it.
         multiplier: λ, at the quadrature points of all facets; part of the state of a path.
         penalty: ε, stress per length, one value for all cells; part of the state of a path.
-        pressure: p after each solve, the traction per reference area, at the quadrature points of a
-            mesh of the surface only. It can be written and drawn like any other Function.
+        name: Name of ``pressure``.
     """
 
     def __init__(
@@ -121,8 +126,8 @@ class Contact:
             name: Name of the Function ``pressure``.
 
         Raises:
-            ValueError: u is no displacement, ``ds`` is no measure of a surface, or the distance is
-                no scalar that depends on the position.
+            ValueError: u is no displacement, ``ds`` is no measure of a surface, the distance is no
+                scalar that depends on the position, or the cells have facets of two types.
             TypeError: u is no Function, or the tool no function.
         """
         if not isinstance(u, dolfinx.fem.Function):
@@ -148,11 +153,13 @@ class Contact:
         if degree < 0:
             degree = 2 * V.ufl_element().embedded_superdegree
         self.u = u
+        self._ds = ds(metadata={**ds.metadata(), "quadrature_degree": degree})
         self._tool = tool
         self._weight = weight
         self.name = name
-        self._surface = Surface(V, ds, degree)
-        self.multiplier = dolfinx.fem.Function(self._surface.space, name=f"{name}_multiplier")
+        self.multiplier = dolfinx.fem.Function(
+            create_point_space(mesh, degree), name=f"{name}_multiplier"
+        )
         self.penalty = dolfinx.fem.Function(
             dolfinx.fem.functionspace(mesh, ("DG", 0)), name=f"{name}_penalty"
         )
@@ -162,19 +169,21 @@ class Contact:
         g = self._gap
         touching = -λ * g + ε / 2 * g**2  # ((λ − ε g)² − λ²)/(2 ε)
         density = ufl.conditional(ufl.gt(λ - ε * g, 0.0), touching, -(λ**2) / (2 * ε))
-        self.energy = weight * density * self._surface.ds
-        self._sizes = dolfinx.fem.Function(self.penalty.function_space, name=f"{name}_cell_sizes")
+        self.energy = weight * density * self._ds
+        self._cell_sizes = dolfinx.fem.Function(
+            self.penalty.function_space, name=f"{name}_cell_sizes"
+        )
         cells = np.arange(len(self.penalty.function_space.dofmap.list), dtype=np.int32)
         dofs = self.penalty.function_space.dofmap.list[cells, 0]
-        self._sizes.x.array[dofs] = mesh.h(mesh.topology.dim, cells)
-        self._is_prepared = False
+        self._cell_sizes.x.array[dofs] = mesh.h(mesh.topology.dim, cells)
+        self._prepared: _Prepared | None = None
 
     @property
-    def work(self) -> ufl.Form:
+    def virtual_work(self) -> ufl.Form:
         """δΠ_c = −∫ p δg dA, tested with v."""
         trial = self.multiplier - self.penalty * self._gap
         density = ufl.conditional(ufl.gt(trial, 0.0), -trial * self._virtual_gap(), 0.0)
-        return self._weight * density * self._surface.ds
+        return self._weight * density * self._ds
 
     @property
     def tangent(self) -> ufl.Form:
@@ -188,7 +197,7 @@ class Contact:
         λ = self.multiplier
         ε = self.penalty
         g = self._gap
-        h = self._sizes
+        h = self._cell_sizes
         trial = λ - ε * g
         δg = self._virtual_gap()
         du = ufl.TrialFunction(self.u.function_space)
@@ -197,7 +206,7 @@ class Contact:
         p = ufl.max_value(ufl.min_value(trial, λ + ε * MAX_BENDING_DEPTH * h), 0.0)
         stiffness = ε * dg * δg - p * d_δg
         density = ufl.conditional(ufl.gt(trial + ε * CLOSED_GAP * h, 0.0), stiffness, 0.0)
-        return self._weight * density * self._surface.ds
+        return self._weight * density * self._ds
 
     def _virtual_gap(self) -> Expr:
         """Return δg, the derivative of g in u in the direction of the test function."""
@@ -224,25 +233,16 @@ class Contact:
         Raises:
             ValueError: The measure has no facets, or the weight is not positive.
         """
-        self._surface.prepare(compiler, self._weight)
-        λ = self.multiplier
-        ε = self.penalty
-        trial = λ - ε * self._gap
-        pressure = ufl.conditional(ufl.gt(trial, 0.0), trial, 0.0)
-        self._gap_at_points = self._surface.evaluator(self._gap)
-        self._pressure_at_points = self._surface.evaluator(pressure)
-        self._penalty_at_points = self._surface.evaluator(ufl.as_ufl(ε))
-        V = self.u.function_space
-        self._direction = dolfinx.fem.Constant(V.mesh, np.zeros(len(self.u)))
-        v = ufl.TestFunction(V)
-        slope = ufl.derivative(self._gap, self.u, v)
-        self._slope_at_points = self._surface.evaluator(ufl.replace(slope, {v: self._direction}))
-        self._numbers = ufl.algorithms.analysis.extract_constants(self._gap)
-        self._force = self._surface.form(ufl.replace(-self.work, {v: self._direction}))
-        self.pressure, self._points = self._surface.create_submesh()
-        self.pressure.name = self.name
-        self.mark()
-        self._is_prepared = True
+        surface = Surface(
+            self.u.function_space, self.multiplier.function_space, self._ds, compiler, self._weight
+        )
+        values = ContactEvaluation(
+            surface, self._gap, self.u, self.multiplier, self.penalty, self.virtual_work
+        )
+        pressure, point_of_dof = surface.create_submesh()
+        pressure.name = self.name
+        crossing = CrossingDetection(self.u, self._gap, values)
+        self._prepared = _Prepared(values, crossing, pressure, point_of_dof)
 
     def has_penalty(self) -> bool:
         """Return whether ε has been set. Collective."""
@@ -254,7 +254,7 @@ class Contact:
         Args:
             diagonal: Diagonal of the assembled tangent without contact, (owned,) in u.
         """
-        stiffness = self._surface.stiffness(diagonal, QUANTILE)
+        stiffness = self._values.surface.stiffness_per_area(diagonal, QUANTILE)
         ε = self.penalty.x.array
         np.maximum(ε, PENALTY * stiffness, out=ε)
 
@@ -263,37 +263,38 @@ class Contact:
         self.penalty.x.array[:] *= factor
 
     @contextmanager
-    def released(self) -> Iterator[None]:
+    def without_tool(self) -> Iterator[None]:
         """Remove the tool inside a with statement."""
         before = self.multiplier.x.array.copy()
-        self.multiplier.x.array[:] = RELEASED
+        self.multiplier.x.array[:] = RELEASED_MULTIPLIER
         try:
             yield
         finally:
             self.multiplier.x.array[:] = before
 
-    def rounding(self) -> float:
+    def force_rounding(self) -> float:
         """Return the norm of the rounding errors of the contact's forces on nodes. Collective.
 
         g may be a small difference of large lengths such as a radius. Its rounding error is
         measured by second differences over a step so short that curvature does not contribute.
         """
+        values = self._values
         u = self.u.x.array
-        step = ROUNDING_STEP * self._surface.least_size
+        step = ROUNDING_STEP * values.surface.min_cell_size
         before = u.copy()
         gaps = []
         try:
             for shift in (0.0, step, -step):
                 u[:] = before + shift
-                gaps.append(self._gap_at_points())
+                gaps.append(values.gap())
         finally:
             u[:] = before
         difference = gaps[1] - 2.0 * gaps[0] + gaps[2]
         squares = np.array([difference @ difference, len(difference)])
         total, count = self._comm.allreduce(squares)
         error = np.sqrt(total / count / 6.0)  # the variance is that of 1 + 4 + 1 errors
-        is_touching = self._pressures() > 0.0
-        forces = self._surface.forces(is_touching * self._penalty_at_points() * error)
+        is_touching = values.pressure() > 0.0
+        forces = values.surface.nodal_forces(is_touching * values.penalty() * error)
         return float(np.sqrt(self._comm.allreduce(float(forces @ forces))))
 
     def violation(self) -> float:
@@ -302,25 +303,27 @@ class Contact:
         This is abs(g)/h for a point in contact, and λ/(ε h) for a point without contact whose
         multiplier still pushes.
         """
-        violation = np.abs(self._pressures() - self._multipliers()) / self._penalty_at_points()
-        return max(self._surface.greatest(violation / self._surface.sizes), 0.0)
+        values = self._values
+        violation = np.abs(values.pressure() - values.multiplier()) / values.penalty()
+        return max(values.surface.maximum(violation / values.surface.cell_sizes), 0.0)
 
     def force_change(self) -> float:
         """Return the relative change of the forces on nodes by the next update. Collective.
 
         It is the norm of the nodes' forces of p − λ over that of p.
         """
-        p = self._pressures()
-        surface = self._surface
-        forces = surface.forces(p)
-        changes = surface.forces(p - self._multipliers())
+        values = self._values
+        p = values.pressure()
+        forces = values.surface.nodal_forces(p)
+        changes = values.surface.nodal_forces(p - values.multiplier())
         change, size = self._comm.allreduce(np.array([changes @ changes, forces @ forces]))
         return float(np.sqrt(change / size)) if size > 0.0 else 0.0
 
-    def update(self) -> None:
+    def update_multiplier(self) -> None:
         """Set λ to ⟨λ − ε g⟩₊. Collective."""
+        values = self._values
         λ = self.multiplier.x
-        λ.array[self._surface.points] = self._pressures()
+        λ.array[values.surface.dofs] = values.pressure()
         λ.scatter_forward()
 
     def fit_multiplier(self) -> None:
@@ -329,55 +332,41 @@ class Contact:
         The fit leaves the forces on nodes as they are. The part of λ without forces would grow from
         step to step as a contact spreads; negative values come from extrapolation.
         """
+        surface = self._values.surface
         λ = self.multiplier.x
-        λ.array[self._surface.points] = self._surface.fitted(self._multipliers())
+        λ.array[surface.dofs] = surface.fit(self._values.multiplier())
         λ.scatter_forward()
 
-    def show_pressure(self) -> None:
+    def update_pressure(self) -> None:
         """Set ``pressure`` to the fit of the current p by traces of u. Collective."""
-        p = self.pressure.x
-        cells = len(self._points)
-        dofs = self.pressure.function_space.dofmap.list[:cells]
-        p.array[dofs] = self._surface.fitted(self._pressures())[self._points]
-        p.scatter_forward()
+        self._set_values(self.pressure, self._values.surface.fit(self._values.pressure()))
 
-    def mark(self) -> None:
-        """Store the state of body and tool for :meth:`has_jumped`. Collective."""
-        numbers = [np.array(number.value) for number in self._numbers]
-        self._mark = _Mark(self.u.x.array.copy(), numbers, self._normals())
+    def store_state(self) -> None:
+        """Store the state of body and tool for :meth:`has_crossed_tool`. Collective."""
+        self._of_problem.crossing.store_state()
 
-    def has_jumped(self, tolerance: float) -> bool:
-        """Return True if a point has crossed the tool since the last mark. Collective.
-
-        A point has crossed the tool if ∇g has reversed, and the straight line between the two
-        states leads through the tool. If a point slides along a tool, ∇g changes gradually.
+    def has_crossed_tool(self, tolerance: float) -> bool:
+        """Return True if a point has crossed the tool since the stored state. Collective.
 
         Args:
-            tolerance: Depth in the tool above which a line leads through it, over the size of a
+            tolerance: Depth in the tool above which a point is inside of it, over the size of a
                 cell.
         """
-        u = self.u.x.array
-        before = self._mark
-        has_turned = np.einsum("pi,pi->p", before.normals, self._normals()) < 0.0
-        if not self._comm.allreduce(bool(has_turned.any()), op=MPI.LOR):
-            return False
-        u_now = u.copy()
-        numbers_now = [np.array(number.value) for number in self._numbers]
-        depth: Array = np.zeros(len(has_turned))
-        try:
-            for share in np.arange(1, STATES_BETWEEN + 1) / (STATES_BETWEEN + 1):
-                u[:] = (1.0 - share) * before.u + share * u_now
-                for number, a, b in zip(self._numbers, before.numbers, numbers_now, strict=True):
-                    number.value = (1.0 - share) * a + share * b
-                depth = np.maximum(depth, -self._gap_at_points())
-        finally:
-            u[:] = u_now
-            for number, value in zip(self._numbers, numbers_now, strict=True):
-                number.value = value
-        has_crossed = has_turned & (depth > tolerance * self._surface.sizes)
-        return bool(self._comm.allreduce(bool(has_crossed.any()), op=MPI.LOR))
+        return self._of_problem.crossing.has_crossed(tolerance)
 
     # -- called by a user -------------------------------------------------------------------------
+
+    @property
+    def pressure(self) -> dolfinx.fem.Function:
+        """The contact pressure p after each solve, the traction per reference area.
+
+        It has values at the quadrature points of a mesh of the surface only, and can be written and
+        drawn like any other Function.
+
+        Raises:
+            RuntimeError: No problem has the contact yet.
+        """
+        return self._of_problem.pressure
 
     def force(self) -> Array:
         """Return the resultant force of the contact on the body, (d,). Collective.
@@ -385,12 +374,7 @@ class Contact:
         Raises:
             RuntimeError: No problem has the contact yet.
         """
-        self._require_problem()
-        components = []
-        for i in range(len(self.u)):
-            self._direction.value = np.eye(len(self.u))[i]
-            components.append(self._force())
-        return np.array(components)
+        return self._values.force()
 
     def penetration(self) -> float:
         """Return the largest −g of the surface, negative if nothing touches. Collective.
@@ -398,8 +382,7 @@ class Contact:
         Raises:
             RuntimeError: No problem has the contact yet.
         """
-        self._require_problem()
-        return self._surface.greatest(-self._gap_at_points())
+        return self._values.surface.maximum(-self._values.gap())
 
     def true_pressure(self) -> dolfinx.fem.Function:
         """Return p per deformed area, p dA/da, as a Function like ``pressure``. Collective.
@@ -409,47 +392,41 @@ class Contact:
         Raises:
             RuntimeError: No problem has the contact yet.
         """
-        self._require_problem()
-        true = dolfinx.fem.Function(self.pressure.function_space, name=f"{self.name}_true")
-        cells = len(self._points)
-        dofs = true.function_space.dofmap.list[:cells]
-        p = self._surface.fitted(self._pressures()) / self._stretch_of_area()
-        true.x.array[dofs] = p[self._points]
-        true.x.scatter_forward()
-        return true
+        values = self._values
+        true_pressure = dolfinx.fem.Function(self.pressure.function_space, name=f"{self.name}_true")
+        p = values.surface.fit(values.pressure())
+        self._set_values(true_pressure, p / values.area_stretch())
+        return true_pressure
 
-    def _require_problem(self) -> None:
-        """Raise a RuntimeError if no problem has prepared the contact."""
-        if not self._is_prepared:
+    # -- helpers ----------------------------------------------------------------------------------
+
+    @property
+    def _of_problem(self) -> _Prepared:
+        """What :meth:`prepare` has made.
+
+        Raises:
+            RuntimeError: No problem has the contact yet.
+        """
+        if self._prepared is None:
             raise RuntimeError(
                 "The contact belongs to no problem yet: pass contacts=[contact] to "
                 "NonlinearProblem first."
             )
+        return self._prepared
 
-    @cached_property
-    def _stretch_of_area(self) -> Callable[[], Array]:
-        """Function that evaluates da/dA = ‖cof F N‖ at the points."""
-        F = ufl.Identity(len(self.u)) + ufl.grad(self.u)
-        N = ufl.FacetNormal(self.u.function_space.mesh)
-        normal = ufl.cofac(F) * N
-        return self._surface.evaluator(ufl.sqrt(ufl.dot(normal, normal)))
-
-    def _normals(self) -> Array:
-        """Return ∇g at the points, (points, d)."""
-        components = []
-        for i in range(len(self.u)):
-            self._direction.value = np.eye(len(self.u))[i]
-            components.append(self._slope_at_points())
-        return np.column_stack(components)
+    @property
+    def _values(self) -> ContactEvaluation:
+        """Values at the points of the surface; a RuntimeError without a problem."""
+        return self._of_problem.values
 
     @property
     def _comm(self) -> MPI.Comm:
+        """The processes of the mesh."""
         return self.u.function_space.mesh.comm
 
-    def _multipliers(self) -> Array:
-        """Return λ at the points."""
-        return self.multiplier.x.array[self._surface.points]
-
-    def _pressures(self) -> Array:
-        """Return p = ⟨λ − ε g⟩₊ at the points."""
-        return np.maximum(self._pressure_at_points(), 0.0)
+    def _set_values(self, f: dolfinx.fem.Function, values: Array) -> None:
+        """Set a function like ``pressure`` to values at the points, (points,). Collective."""
+        point_of_dof = self._of_problem.point_of_dof
+        dofs = f.function_space.dofmap.list[: len(point_of_dof)]
+        f.x.array[dofs] = values[point_of_dof]
+        f.x.scatter_forward()

@@ -116,11 +116,25 @@ class FacetQuadratureElement(basix.ufl._QuadratureElement):  # type: ignore[misc
 
 
 def create_point_space(mesh: dolfinx.mesh.Mesh, degree: int) -> dolfinx.fem.FunctionSpace:
-    """Create the space of values at the quadrature points of all facets. Collective."""
-    cell = getattr(basix.CellType, mesh.topology.cell_name())
+    """Create the space of values at the quadrature points of all facets. Collective.
+
+    Args:
+        mesh: The mesh.
+        degree: The degree of the facets' quadrature.
+
+    Raises:
+        ValueError: The facets of a cell are of two types, as those of a prism.
+    """
+    cell_name = mesh.topology.cell_name()
+    if cell_name in ("prism", "pyramid"):
+        raise ValueError(
+            f"The mesh has cells of type {cell_name}, with facets of two types: contact needs "
+            "tetrahedra, hexahedra, triangles or quadrilaterals."
+        )
+    cell = getattr(basix.CellType, cell_name)
     return dolfinx.fem.functionspace(mesh, FacetQuadratureElement(cell, degree))
 
 
 def _are_equal(points: npt.NDArray[np.float64], others: Array) -> bool:
-    """Return whether two sets of points are the same, in the same order."""
+    """Return True if two sets of points are the same, in the same order."""
     return points.shape == others.shape and np.allclose(points, others, rtol=0, atol=POINT_ATOL)

@@ -42,7 +42,7 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.contact.points import FacetQuadratureElement, create_point_space
+from dolfinx_feti.contact.points import FacetQuadratureElement
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Indices
@@ -57,105 +57,87 @@ FIT_RTOL = 1e-10
 #: rounding errors there, all others are above 1e-3 at a point.
 TRACE_ATOL = 1e-12
 
-#: Iterations of the fit. Mass matrices take some thirty. Points at the rim of a contact where the
-#: basis functions are small can take more; the remaining error is at these points.
-FIT_ITERATIONS = 100
+#: Iterations of the fit, at most. Mass matrices take some thirty. Points at the rim of a contact
+#: where the basis functions are small can take more; the remaining error is at these points.
+MAX_FIT_ITERATIONS = 100
 
 
 class Surface:
     """The quadrature points of a measure.
 
     Attributes:
-        ds: The measure, with its quadrature degree.
-        degree: Its quadrature degree.
-        space: The space of values at the quadrature points of all facets of all cells.
-        points: Dofs of ``space`` at points of the surface, in owned cells, (points,).
-        sizes: Size h of the cell at each point, (points,).
-        least_size: The smallest of them.
-        weighted: Integral of the weight over the basis function of each point, (points,).
+        dofs: Dofs at the points in the space of values at the quadrature points of all facets, for
+            points in owned cells, (points,).
+        cell_sizes: Size h of the cell at each point, (points,).
+        min_cell_size: The smallest of them, over all processes.
+        weighted_areas: Integral of the weight over the basis function of each point, (points,).
     """
 
-    def __init__(self, V: dolfinx.fem.FunctionSpace, ds: ufl.Measure, degree: int) -> None:
-        """Create the space of values; :meth:`prepare` finds the points. Collective.
-
-        Args:
-            V: The space of the displacement.
-            ds: The measure.
-            degree: Quadrature degree on facets.
-
-        Raises:
-            ValueError: The facets of a cell are of two types, as those of a prism.
-        """
-        self._V = V
-        self._mesh = V.mesh
-        self.degree = degree
-        if V.mesh.topology.cell_name() in ("prism", "pyramid"):
-            raise ValueError(
-                f"The mesh has cells of type {V.mesh.topology.cell_name()}, with facets of two "
-                "types: contact needs tetrahedra, hexahedra, triangles or quadrilaterals."
-            )
-        self.ds = ds(metadata={**ds.metadata(), "quadrature_degree": degree})
-        self.space = create_point_space(self._mesh, degree)
-        self._test = ufl.TestFunction(self.space)
-        none: Indices = np.zeros(0, dtype=np.int32)
-        self.points = none
-        self._cell = none
-        self._facet = none
-        self._column = none
-        nothing: Array = np.zeros(0)
-        self._area = nothing
-        self.weighted = nothing
-        self.sizes = nothing
-        self.least_size = np.inf
-
-    def prepare(self, compiler: Compiler, weight: Expr | float) -> None:
+    def __init__(
+        self,
+        V: dolfinx.fem.FunctionSpace,
+        point_space: dolfinx.fem.FunctionSpace,
+        ds: ufl.Measure,
+        compiler: Compiler,
+        weight: Expr | float,
+    ) -> None:
         """Find the points, and integrate their areas dA = weight ds. Collective.
 
         Args:
+            V: The space of the displacement.
+            point_space: The space of values at the quadrature points of all facets of all cells.
+            ds: The measure, with the quadrature degree of that space.
             compiler: Compiler of forms.
             weight: Factor of an area, such as 2 π r.
 
         Raises:
             ValueError: The measure has no facets, or the weight is not positive.
         """
+        self._V = V
+        self._mesh = V.mesh
+        self._ds = ds
+        self._test = ufl.TestFunction(point_space)
         self._compiler = compiler
-        area = self._assembled(compiler.form(self._test * self.ds))
+        element = point_space.ufl_element()
+        assert isinstance(element, FacetQuadratureElement)
+        self._element = element
+        area = self._assemble(compiler.form(self._test * ds))
         topology = self._mesh.topology
-        table = self.space.dofmap.list[: topology.index_map(topology.dim).size_local]
-        rows, columns = np.nonzero(area[table])
-        ends = np.cumsum([len(rule) for rule in self._element().rules])
-        self._cell = rows.astype(np.int32)
-        self._facet = np.searchsorted(ends, columns, side="right").astype(np.int32)
-        self._column = columns.astype(np.int32)
-        self.points = table[rows, columns]
-        self._area = area[self.points]
-        count = self._mesh.comm.allreduce(len(self.points))
+        dofs_of_cells = point_space.dofmap.list[: topology.index_map(topology.dim).size_local]
+        cells, columns = np.nonzero(area[dofs_of_cells])
+        ends = np.cumsum([len(rule) for rule in element.rules])
+        self._cell: Indices = cells.astype(np.int32)
+        self._facet: Indices = np.searchsorted(ends, columns, side="right").astype(np.int32)
+        self._point_in_cell: Indices = columns.astype(np.int32)
+        self.dofs: Indices = dofs_of_cells[cells, columns]
+        self._area: Array = area[self.dofs]
+        count = self._mesh.comm.allreduce(len(self.dofs))
         if count == 0:
             raise ValueError(
                 "The measure of a contact has no facets: give the measure its tags and a tag among "
                 "them, as ds(lumen)."
             )
-        self.weighted = self._area * self.evaluator(ufl.as_ufl(weight))()
-        least = self._mesh.comm.allreduce(float(self.weighted.min(initial=np.inf)), op=MPI.MIN)
+        self.weighted_areas: Array = self._area * self.evaluator(ufl.as_ufl(weight))()
+        least = -self.maximum(-self.weighted_areas)
         if not least > 0.0:
             raise ValueError(
                 "The weight of a contact is not positive on its surface: give what the measure is "
                 "multiplied by, such as 2 π r."
             )
-        cells, place = np.unique(self._cell, return_inverse=True)
-        self.sizes = self._mesh.h(topology.dim, cells)[place]
-        self.least_size = -self.greatest(-self.sizes)
+        unique_cells, inverse = np.unique(self._cell, return_inverse=True)
+        self.cell_sizes: Array = self._mesh.h(topology.dim, unique_cells)[inverse]
+        self.min_cell_size = -self.maximum(-self.cell_sizes)
 
     def evaluator(self, expression: Expr) -> Callable[[], Array]:
         """Return a function that evaluates a scalar at the points, (points,). Collective."""
-        form = self._compiler.form(expression * self._test * self.ds)
+        compiled = self._compiler.form(expression * self._test * self._ds)
 
         def values() -> Array:
-            return self._assembled(form)[self.points] / self._area
+            return self._assemble(compiled)[self.dofs] / self._area
 
         return values
 
-    def form(self, form: ufl.Form) -> Callable[[], float]:
+    def integrator(self, form: ufl.Form) -> Callable[[], float]:
         """Return a function that integrates a form of rank zero over all processes. Collective."""
         compiled = self._compiler.form(form)
 
@@ -165,11 +147,11 @@ class Surface:
 
         return integral
 
-    def greatest(self, values: Array) -> float:
+    def maximum(self, values: Array) -> float:
         """Return the largest of values at the points, over all processes. Collective."""
         return self._mesh.comm.allreduce(float(values.max(initial=-np.inf)), op=MPI.MAX)
 
-    def stiffness(self, diagonal: Array, quantile: float) -> float:
+    def stiffness_per_area(self, diagonal: Array, quantile: float) -> float:
         """Return a quantile of the stiffness per area, s_f, over all facets. Collective.
 
         Args:
@@ -200,52 +182,74 @@ class Surface:
         all_facets = np.sort(np.concatenate(self._mesh.comm.allgather(stiffness)))
         return float(all_facets[int(quantile * (len(all_facets) - 1))])
 
-    def forces(self, values: Array) -> Array:
+    def nodal_forces(self, values: Array) -> Array:
         """Return ∫ values φ_i dA of the nodes i of u, (owned nodes,). Collective.
 
         Args:
             values: Values at the points, (points,).
         """
-        return self._gathered(self.weighted * values)
+        return self._to_nodes(self.weighted_areas * values)
 
-    def fitted(self, values: Array) -> Array:
+    def fit(self, values: Array) -> Array:
         """Return the fit of positive values by traces of u, zero at other points. Collective.
 
         Args:
             values: Values at the points, (points,).
         """
+        active_areas = np.where(values > 0.0, self.weighted_areas, 0.0)
+        w = self._solve_normal_equations(active_areas, values)
+        return np.where(values > 0.0, np.maximum(self._to_points(w), 0.0), 0.0)
+
+    def _solve_normal_equations(self, areas: Array, values: Array) -> Array:
+        """Return the w that minimises Σ A_q (p_q − (Φ w)_q)², by conjugate gradients. Collective.
+
+        Args:
+            areas: A_q, positive, or zero at points without part in the fit, (points,).
+            values: p_q, (points,).
+
+        Returns:
+            w, (owned nodes,).
+        """
         comm = self._mesh.comm
-        active = np.where(values > 0.0, self.weighted, 0.0)
-        diagonal = self._gathered(active, square=True)
+        diagonal = self._to_nodes(areas, squared=True)
         inverse = np.divide(1.0, diagonal, out=np.zeros(len(diagonal)), where=diagonal > 0.0)
-        r = self._gathered(active * values)
+        r = self._to_nodes(areas * values)
         w = np.zeros(len(r))
         z = inverse * r
         d = z.copy()
-        rz = first = comm.allreduce(float(r @ z))
-        for _ in range(FIT_ITERATIONS):
-            if not rz > FIT_RTOL**2 * first:
+        rz = comm.allreduce(float(r @ z))
+        first_rz = rz
+        for _ in range(MAX_FIT_ITERATIONS):
+            if not rz > FIT_RTOL**2 * first_rz:
                 break
-            Ad = self._gathered(active * self._at_points(d))
+            Ad = self._to_nodes(areas * self._to_points(d))
             α = rz / comm.allreduce(float(d @ Ad))
             w += α * d
             r -= α * Ad
             z = inverse * r
-            before = rz
+            rz_before = rz
             rz = comm.allreduce(float(r @ z))
-            d = z + rz / before * d
-        return np.where(values > 0.0, np.maximum(self._at_points(w), 0.0), 0.0)
+            d = z + rz / rz_before * d
+        return w
 
-    def _gathered(self, at_points: Array, *, square: bool = False) -> Array:
-        """Return Φᵀ of values at the points, or the transpose of its squares, (owned nodes,)."""
-        traces = self._traces.power(2) if square else self._traces
+    def _to_nodes(self, values: Array, *, squared: bool = False) -> Array:
+        """Return Φᵀ times values at the points, (owned nodes,). Collective.
+
+        Args:
+            values: Values at the points, (points,).
+            squared: Whether the entries of Φ are squared.
+        """
+        traces = self._traces.power(2) if squared else self._traces
         x = dolfinx.la.vector(self._V.dofmap.index_map, 1)
-        x.array[:] = traces.T @ at_points
+        x.array[:] = traces.T @ values
         x.scatter_reverse(dolfinx.la.InsertMode.add)
         return x.array[: self._V.dofmap.index_map.size_local].copy()
 
-    def _at_points(self, w: Array) -> Array:
-        """Return Φ w of the nodes' values, (owned nodes,), at the points."""
+    def _to_points(self, w: Array) -> Array:
+        """Return Φ w at the points, (points,), of values w at the nodes, (owned nodes,).
+
+        Collective.
+        """
         x = dolfinx.la.vector(self._V.dofmap.index_map, 1)
         x.array[: len(w)] = w
         x.scatter_forward()
@@ -255,8 +259,8 @@ class Surface:
         """Create a function of the points on a mesh of the surface alone. Collective.
 
         Returns:
-            The function, on a quadrature element of the facets, and for each of its dofs in owned
-            cells the place of its point among ``points``.
+            The function, on a quadrature element of the facets, and the number of the point of each
+            of its dofs, (owned cells of the mesh, points of a facet).
         """
         mesh = self._mesh
         tdim = self._mesh.topology.dim
@@ -267,9 +271,11 @@ class Surface:
         order = np.argsort(numbers, kind="stable")
         submesh, parents = compat.create_submesh(mesh, tdim - 1, numbers[order])
         kind = getattr(basix.CellType, submesh.topology.cell_name())
-        element = basix.ufl.quadrature_element(kind, degree=self.degree)
+        element = basix.ufl.quadrature_element(
+            kind, degree=self._ds.metadata()["quadrature_degree"]
+        )
         surface = dolfinx.fem.Function(dolfinx.fem.functionspace(submesh, element))
-        n = len(self._element().rules[0])
+        n = len(self._element.rules[0])
         here = self._coordinates().reshape(len(facets), n, mesh.geometry.dim)[order]
         row = np.searchsorted(numbers[order], parents)
         there = _coordinates_of(surface)
@@ -287,25 +293,20 @@ class Surface:
         """Basis functions of the nodes of u at the points, Φ, (points, local nodes)."""
         V = self._V
         scalar, *_ = V.ufl_element().sub_elements
-        table = np.concatenate([scalar.tabulate(0, rule)[0] for rule in self._element().rules])
+        table = np.concatenate([scalar.tabulate(0, rule)[0] for rule in self._element.rules])
         table[np.abs(table) < TRACE_ATOL] = 0.0
         index_map = V.dofmap.index_map
-        values = table[self._column]
+        values = table[self._point_in_cell]
         nodes = V.dofmap.list[self._cell]
-        rows = np.repeat(np.arange(len(self.points)), nodes.shape[1])
-        shape = (len(self.points), index_map.size_local + index_map.num_ghosts)
+        rows = np.repeat(np.arange(len(self.dofs)), nodes.shape[1])
+        shape = (len(self.dofs), index_map.size_local + index_map.num_ghosts)
         return scipy.sparse.csr_array((values.ravel(), (rows, nodes.ravel())), shape=shape)
 
-    # -- facets -----------------------------------------------------------------------------------
-
-    def _assembled(self, form: dolfinx.fem.Form) -> Array:
+    def _assemble(self, form: dolfinx.fem.Form) -> Array:
         """Assemble a linear form of the point space; its facets are those of owned cells."""
         return np.asarray(dolfinx.fem.assemble_vector(form).array)
 
-    def _element(self) -> FacetQuadratureElement:
-        element = self.space.ufl_element()
-        assert isinstance(element, FacetQuadratureElement)
-        return element
+    # -- facets -----------------------------------------------------------------------------------
 
     def _facets(self) -> Indices:
         """Return the facets of the surface, (facets, 2): a cell and the local number in it."""
@@ -313,16 +314,16 @@ class Surface:
 
     def _areas_of_facets(self, facets: Indices) -> Array:
         """Return the weighted area of each facet."""
-        count = len(self._element().rules)
+        count = len(self._element.rules)
         numbers = facets[:, 0].astype(np.int64) * count + facets[:, 1]
         place = np.searchsorted(numbers, self._cell.astype(np.int64) * count + self._facet)
-        return np.bincount(place, self.weighted, minlength=len(facets)).astype(np.float64)
+        return np.bincount(place, self.weighted_areas, minlength=len(facets)).astype(np.float64)
 
     def _nodes_of_facets(self) -> list[Indices]:
         """Return the local nodes of V on each facet of a cell, its edges and vertices included."""
         layout = self._V.dofmap.dof_layout
         tdim = self._mesh.topology.dim
-        count = len(self._element().rules)
+        count = len(self._element.rules)
         return [np.asarray(layout.entity_closure_dofs(tdim - 1, f)) for f in range(count)]
 
 

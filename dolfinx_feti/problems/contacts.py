@@ -101,7 +101,7 @@ class Contacts:
         """Choose penalties by the stiffness of the body without any contact. Collective."""
         with ExitStack() as stack:
             for contact in self.contacts:
-                stack.enter_context(contact.released())
+                stack.enter_context(contact.without_tool())
             diagonal = system.assembled_stiffness()
         if np.isfinite(norm(system.comm, diagonal)):  # else Newton reports a residual of NaN
             for contact in contacts:
@@ -130,12 +130,12 @@ class Contacts:
     def update(self) -> None:
         """Update the multipliers, λ ← ⟨λ − ε g⟩₊. Collective."""
         for contact in self.contacts:
-            contact.update()
+            contact.update_multiplier()
 
     def store_positions(self) -> None:
         """Store the present positions of body and tools. Collective."""
         for contact in self.contacts:
-            contact.mark()
+            contact.store_state()
 
     def require_no_crossing(self, tolerance: float) -> None:
         """Check that no point has crossed a tool since positions were stored. Collective.
@@ -147,16 +147,16 @@ class Contacts:
             ToolCrossedError: A point has.
         """
         for contact in self.contacts:
-            if contact.has_jumped(tolerance):
+            if contact.has_crossed_tool(tolerance):
                 raise ToolCrossedError(
                     f"The surface of '{contact.name}' has jumped through its tool to the other "
                     "side: load in smaller steps, so that it touches the tool on the way."
                 )
 
-    def show_pressures(self) -> None:
+    def update_pressures(self) -> None:
         """Compute the pressures of the present state for the user. Collective."""
         for contact in self.contacts:
-            contact.show_pressure()
+            contact.update_pressure()
 
 
 class ContactUpdates(MultiplierUpdates):

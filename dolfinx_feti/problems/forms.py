@@ -239,7 +239,7 @@ def derive(
 
     # contacts
     for contact in contacts:
-        F_u += contact.work
+        F_u += contact.virtual_work
         J_u += contact.tangent
         if potential is not None:
             potential += contact.energy

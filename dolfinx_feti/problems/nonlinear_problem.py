@@ -548,7 +548,7 @@ class NonlinearProblem(TornProblem):
         update_until_met(kinds, solve)
         self._contacts.require_no_crossing(self._contact_tolerance)
         self._contacts.store_positions()
-        self._contacts.show_pressures()
+        self._contacts.update_pressures()
 
     def _begin_with_present_pressures(self) -> None:
         """Choose missing penalties of contacts, and set λ = p if there is a volume tolerance.

@@ -117,7 +117,9 @@ class System:
         self._energy: SplitForm | None = None
         if forms.energy is not None:
             self._energy = split_form(forms.energy, V.mesh, compiler)
-        self._contact_works = [compiler.form(contact.work) for contact in forms.contacts]
+        self._contact_virtual_works = [
+            compiler.form(contact.virtual_work) for contact in forms.contacts
+        ]
         self.condensation = _create_condensation(forms, space, compiler)
         self.tangent = TornTangent(forms, space, self.torn_dofs, self.condensation, compiler)
         self.conditions = DirichletConditions(bcs, forms.u, forms.mixed)
@@ -287,7 +289,7 @@ class System:
 
     def contact_forces(self) -> list[Array]:
         """Assemble the forces of each contact, (owned,)."""
-        return [assembly.assemble_owned(work) for work in self._contact_works]
+        return [assembly.assemble_owned(work) for work in self._contact_virtual_works]
 
     def destroy(self) -> None:
         """Destroy the matrices."""

@@ -26,7 +26,7 @@ def residual_rounding(system: System) -> float:
     before it: the errors are known to an order of magnitude only.
     """
     squares = system.tangent.product_rounding_squares(_rounded_lengths(system))
-    contacts = sum(contact.rounding() for contact in system.forms.contacts)
+    contacts = sum(contact.force_rounding() for contact in system.forms.contacts)
     return _root_of_sum(system, squares) + contacts
 
 
