@@ -111,7 +111,7 @@ def compute_weighted_columns(
             for i, W_i in enumerate(basis.W):
                 X_i = preconditioner.multiply_stabilised(i, W_i)  # (Y_i + Y_Z Y_Zᵀ) W_i
                 X.append(X_i)
-                assembler.add(i, W_i.overlap(X_i))  # W_iᵀ X_i
+                assembler.add(i, W_i.multiply_transposed(X_i))  # W_iᵀ X_i
 
         on_subdomains(compute, comm)
         galerkin_matrix = assembler.assemble()  # Gᵀ M G

@@ -121,7 +121,7 @@ class Preconditioner(ABC):
         Y_Z = self.Y_Z[i]
         if not Y_Z.shape[1]:
             return Y
-        return Y + Y_Z @ W.overlap(Y_Z).T  # Y_i W + Y_Z (Wᵀ Y_Z)ᵀ
+        return Y + Y_Z @ W.multiply_transposed(Y_Z).T  # Y_i W + Y_Z (Wᵀ Y_Z)ᵀ
 
     def unbalanced_force(self, w: Array, Yw: Array) -> Array:
         """Return the unbalanced force t = K E_Γ w, (n,).

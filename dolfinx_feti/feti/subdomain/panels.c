@@ -11,8 +11,8 @@
 
 // Y = S W: copy the columns of S that a panel needs, one after the other, and multiply. As S is
 // symmetric, they are its rows, which are contiguous.
-void panels_product(const panels *W, const double *S, double *Y, double *work,
-                    dgemm_routine gemm)
+void panels_premultiply(const panels *W, const double *S, double *Y, double *work,
+                        dgemm_routine gemm)
 {
     double one = 1.0;
     double zero = 0.0;
@@ -35,41 +35,41 @@ void panels_product(const panels *W, const double *S, double *Y, double *work,
     }
 }
 
-// Complete a symmetric E, (c, r) row by row, above the diagonal: entry (j, l) with j < a ≤ l < b is
+// Complete a symmetric X, (c, r) row by row, above the diagonal: entry (j, l) with j < a ≤ l < b is
 // copied from (l, j), which lies in one of the rows a, …, b − 1 of a panel.
-static void mirror_rows(double *E, int r, int a, int b)
+static void mirror_rows(double *X, int r, int a, int b)
 {
     for (int j = 0; j < a; ++j) {
-        for (int l = a; l < b; ++l) E[(size_t)r * j + l] = E[(size_t)r * l + j];
+        for (int l = a; l < b; ++l) X[(size_t)r * j + l] = X[(size_t)r * l + j];
     }
 }
 
-// E = Wᵀ Y: copy the rows of Y that a panel needs, and multiply. If E is symmetric, the rows of a
+// X = Wᵀ Y: copy the rows of Y that a panel needs, and multiply. If X is symmetric, the rows of a
 // panel are computed up to its diagonal block, and mirrored.
-void panels_overlap(const panels *W, int r, const double *Y, double *E, double *work,
-                    int symmetric, dgemm_routine gemm)
+void panels_multiply_transposed(const panels *W, int r, const double *Y, double *X, double *work,
+                                int is_symmetric, dgemm_routine gemm)
 {
     double one = 1.0;
     double zero = 0.0;
     double *values = (double *)W->values; // BLAS reads them, but takes pointers without const
-    int begin = 0;                        // first row of E of the panel
+    int begin = 0;                        // first row of X of the panel
     for (int p = 0; p < W->count; ++p) {
         const int *const row = W->rows + W->starts[p];
         int m = W->starts[p + 1] - W->starts[p]; // rows of the panel
-        int k = W->widths[p];                    // its columns, which are rows of E
+        int k = W->widths[p];                    // its columns, which are rows of X
         const int end = begin + k;
-        int columns = symmetric ? end : r; // columns of E that are computed
-        double *const E_p = E + (size_t)r * begin;
+        int columns = is_symmetric ? end : r; // columns of X that are computed
+        double *const X_p = X + (size_t)r * begin;
         if (m && k && columns) {
             for (int j = 0; j < columns; ++j) {
                 for (int i = 0; i < m; ++i) work[(size_t)m * j + i] = Y[(size_t)W->n * j + row[i]];
             }
             // (W_p)ᵀ Y[r_p, :]
-            gemm("T", "T", &columns, &k, &m, &one, work, &m, values, &k, &zero, E_p, &r);
+            gemm("T", "T", &columns, &k, &m, &one, work, &m, values, &k, &zero, X_p, &r);
         } else {
-            memset(E_p, 0, sizeof(double) * (size_t)r * k);
+            memset(X_p, 0, sizeof(double) * (size_t)r * k);
         }
-        if (symmetric) mirror_rows(E, r, begin, end);
+        if (is_symmetric) mirror_rows(X, r, begin, end);
         values += (size_t)m * k;
         begin = end;
     }

@@ -20,13 +20,13 @@ typedef void (*dgemm_routine)(char *, char *, int *, int *, int *, double *, dou
                               double *, int *, double *, double *, int *);
 
 // Y = S W. S: (n, n), symmetric, all entries. Y: (n, c), column by column. work: (n²).
-void panels_product(const panels *W, const double *S, double *Y, double *work,
-                    dgemm_routine gemm);
+void panels_premultiply(const panels *W, const double *S, double *Y, double *work,
+                        dgemm_routine gemm);
 
-// E = Wᵀ Y. Y: (n, r), column by column. E: (c, r), row by row. work: (n r). If symmetric, E is
-// known to be symmetric (r = c): only the blocks on and below the diagonal are computed.
-void panels_overlap(const panels *W, int r, const double *Y, double *E, double *work,
-                    int symmetric, dgemm_routine gemm);
+// X = Wᵀ Y. Y: (n, r), column by column. X: (c, r), row by row. work: (n r). If is_symmetric, X is
+// known to be symmetric (r = c), and only the blocks on and below the diagonal are computed.
+void panels_multiply_transposed(const panels *W, int r, const double *Y, double *X, double *work,
+                                int is_symmetric, dgemm_routine gemm);
 
 // e = Y z with sums in double precision. Y: (c, n) in single precision, row by row. z: (n). e: (c).
 void rows_product(int c, int n, const float *Y, const double *z, double *e);

@@ -6,10 +6,10 @@ r"""Block-sparse columns: panels, each with a few nonzero rows; and products wit
 .. math:: W = (W_1, W_2, …), \qquad S\, W_p = S_{:, r_p} (W_p)_{r_p}, \qquad
           W_p^⊤ Y = (W_p)_{r_p}^⊤ Y_{r_p}, \qquad (S\, W)^⊤ z
 
-with the rows :math:`r_p` of panel p, (n, c) in all: the coarse columns of a neighbour are zero but
-on the dofs that the two subdomains share. Here n is :math:`n_{Γ,i}` of the subdomain.
-:math:`S\, W`, which is dense, may be stored in single precision for the last product. The products
-are C (``panels.c``).
+W is (n, c), where n is :math:`n_{Γ,i}` of the subdomain; :math:`r_p` are the rows of panel p. The
+coarse columns of a neighbour are such a panel: they vanish except on the dofs that the two
+subdomains share. :math:`S\, W` is dense, and may be stored in single precision for the last
+product. The products are computed in C (``panels.c``).
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ class Panels:
     values: Array
 
     def __post_init__(self) -> None:
-        """Check what keeps the C code within the arrays."""
+        """Check that the arrays fit: C does not check its indices."""
         fault = self._fault()
         if fault:
             raise ValueError(f"{len(self.widths)} panels do not fit {self.n} rows: {fault}")
 
     def _fault(self) -> str:
-        """Return a description of the first misfit of the arrays; an empty text if they fit."""
+        """Return how the arrays do not fit each other; an empty text if they do."""
         rows = np.diff(self.starts)
         if len(rows) != len(self.widths):
             return f"starts has {len(self.starts)} entries, not one more than there are panels"
@@ -95,14 +95,14 @@ class Panels:
             dense_transposed[first_column[has_column] + j, self.rows[has_column]] = values
         return dense_transposed.T
 
-    def product(self, S: Array) -> Array:
+    def premultiply(self, S: Array) -> Array:
         """Return S W, (n, c), for a symmetric S, (n, n), stored by rows or by columns."""
         if S.shape != (self.n, self.n):
             raise ValueError(f"a matrix of shape {S.shape} does not fit {self.n} rows")
         product_transposed = np.empty(self.shape[::-1])  # (S W)ᵀ
         work = np.empty((self.n, self.n))  # the columns of S that a panel needs
         S = S if S.flags.c_contiguous else S.T
-        self.code.lib.panels_product(
+        self.code.lib.panels_premultiply(
             self._struct(),
             self._pointer(S),
             self._pointer(product_transposed),
@@ -111,28 +111,29 @@ class Panels:
         )
         return product_transposed.T
 
-    def overlap(self, Y: Array, *, symmetric: bool = False) -> Array:
-        """Return Wᵀ Y for columns Y, (n, r) → (c, r).
+    def multiply_transposed(self, Y: Array, *, is_symmetric: bool = False) -> Array:
+        """Return Wᵀ Y, (c, r), for dense columns.
 
         Args:
-            Y: The columns.
-            symmetric: Whether the result is known to be symmetric: only half of it is computed.
+            Y: The columns, (n, r).
+            is_symmetric: Whether the result is known to be symmetric, with r = c. Then only half of
+                it is computed.
         """
-        if len(Y) != self.n or (symmetric and Y.shape[1] != self.shape[1]):
+        if len(Y) != self.n or (is_symmetric and Y.shape[1] != self.shape[1]):
             raise ValueError(f"columns of shape {Y.shape} do not fit panels of shape {self.shape}")
-        E = np.empty((self.shape[1], Y.shape[1]))  # Wᵀ Y
+        result = np.empty((self.shape[1], Y.shape[1]))  # Wᵀ Y
         columns = np.ascontiguousarray(Y.T)
         work = np.empty(columns.shape)  # the rows of Y that a panel needs
-        self.code.lib.panels_overlap(
+        self.code.lib.panels_multiply_transposed(
             self._struct(),
             len(columns),
             self._pointer(columns),
-            self._pointer(E),
+            self._pointer(result),
             self._pointer(work),
-            symmetric,
+            is_symmetric,
             self._gemm,
         )
-        return E
+        return result
 
     def squares(self) -> Array:
         """Return the squares of the norms of all columns, (c,)."""

@@ -35,21 +35,21 @@ def test_factors_of_panels_fit():
     W = panels()
     wide = np.eye(6)[:3, ::2]
     for call, error in (
-        (lambda: W.product(np.eye(2)), "a matrix of shape"),
-        (lambda: W.product(np.eye(3)[:, :2]), "a matrix of shape"),
-        (lambda: W.product(wide), "not contiguous"),
-        (lambda: W.product(np.eye(3).astype(complex)), "give float32"),
-        (lambda: W.overlap(np.ones((2, 3))), "do not fit panels"),
-        (lambda: W.overlap(np.ones((3, 2)), symmetric=True), "do not fit panels"),
+        (lambda: W.premultiply(np.eye(2)), "a matrix of shape"),
+        (lambda: W.premultiply(np.eye(3)[:, :2]), "a matrix of shape"),
+        (lambda: W.premultiply(wide), "not contiguous"),
+        (lambda: W.premultiply(np.eye(3).astype(complex)), "give float32"),
+        (lambda: W.multiply_transposed(np.ones((2, 3))), "do not fit panels"),
+        (lambda: W.multiply_transposed(np.ones((3, 2)), is_symmetric=True), "do not fit panels"),
         (lambda: rows_product(W.code, np.ones((2, 3), np.float32), np.ones(2)), "3 columns"),
     ):
         with raises(ValueError, error):
             call()
     for call in (
-        lambda: W.product(np.eye(3, dtype=np.float32)),
-        lambda: W.overlap(np.ones((3, 1), dtype=np.float32)),
-        lambda: panels(real=np.float32).product(np.eye(3)),
-        lambda: panels(integer=np.int64).product(np.eye(3)),
+        lambda: W.premultiply(np.eye(3, dtype=np.float32)),
+        lambda: W.multiply_transposed(np.ones((3, 1), dtype=np.float32)),
+        lambda: panels(real=np.float32).premultiply(np.eye(3)),
+        lambda: panels(integer=np.int64).premultiply(np.eye(3)),
         lambda: rows_product(W.code, np.ones((2, 3), np.float32), np.ones(3, np.float32)),
     ):
         with raises(TypeError, "ctype"):
@@ -220,10 +220,10 @@ def test_products_are_those_of_the_dense_columns(n, monkeypatch):
     S = S + S.T
     agree(some.shape == W.shape)
     equal(some.dense(), W)
-    equal(some.overlap(Y), W.T @ Y, 1e-13 * n)
-    E = some.overlap(S @ W, symmetric=True)
+    equal(some.multiply_transposed(Y), W.T @ Y, 1e-13 * n)
+    E = some.multiply_transposed(S @ W, is_symmetric=True)
     equal(E, W.T @ S @ W, 1e-13 * n**2)
-    equal(some.product(S), S @ W, 1e-13 * n)
+    equal(some.premultiply(S), S @ W, 1e-13 * n)
     single = S.astype(np.float32)
     for rows in (S, single):
         found = rows_product(some.code, rows, Y[:, 0])
@@ -236,7 +236,7 @@ def test_products_are_those_of_the_dense_columns(n, monkeypatch):
 @pytest.mark.parametrize("n", [0, 3])
 def test_no_panels(n):
     none = panels(n, starts=[0], rows=[], widths=[], values=[])
-    agree(none.shape == (n, 0) == none.dense().shape == none.product(np.eye(n)).shape)
-    agree(none.overlap(np.ones((n, 2))).shape == (0, 2) and len(none.squares()) == 0)
+    agree(none.shape == (n, 0) == none.dense().shape == none.premultiply(np.eye(n)).shape)
+    agree(none.multiply_transposed(np.ones((n, 2))).shape == (0, 2) and len(none.squares()) == 0)
     matrix = PackedMatrix(pack(np.eye(n)), n, WorkSpace())
     agree(matrix.multiply_panels(none).shape == (n, 0))

@@ -75,7 +75,7 @@ class PackedMatrix:
         if self.n == 0:
             return W.dense()
         S = _mirror(self.work.unpack_copy(self._triangle))  # C reads rows of the square
-        return W.product(S)
+        return W.premultiply(S)
 
     def unpack_regularised(self, R: Array, rho: float, shift: Array | None = None) -> Array:
         """Return S + ρ R Rᵀ + diag(shift) in the work space, for the caller to factor in place.
