@@ -23,6 +23,7 @@ import hand_torn
 import primal_form
 import pytest
 from collective import agree, garbage
+from ids import TYPABLE, id_of
 from problems import Problem, torn
 
 import dolfinx
@@ -50,10 +51,6 @@ PREFIX = "test_"
 # Whether a compilation takes long depends on the machine; what tests expect in the log does not.
 logging.getLogger("dolfinx_feti.compilation").disabled = True
 TESTS = Path(__file__).parent
-
-#: Ids of parameters: characters that need no quotes in a shell, and a length that one can type.
-TYPABLE = re.compile(r"[\w.=+,:/-]{1,40}")
-MAX_ID = 40
 
 #: Tests to which a third process adds no coverage: of one cell, subdomain or material, of whole
 #: studies, and of what uses the solver. Gluing, coarse spaces and decompositions, where three
@@ -100,11 +97,15 @@ dolfinx.mesh.Mesh.__init__ = remembered(dolfinx.mesh.Mesh.__init__)  # type: ign
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect the tests that do not run on this number of processes.
+    """Require ids that one can type; deselect tests not run on this number of processes.
 
     On several: those marked ``serial``, and those that :func:`each_choice` does not choose. On more
     than two: ``AT_MOST_TWO``. On more than three: all that are not marked with the number.
     """
+    ids = {item.nodeid: item.callspec.id for item in items if hasattr(item, "callspec")}
+    untypable = [node for node, name in ids.items() if not TYPABLE.fullmatch(name)]
+    if untypable:
+        raise pytest.UsageError(f"Give ids without blanks and quotes, by cases.each: {untypable}")
 
     def is_tried(item: pytest.Item) -> bool:
         if marker := item.get_closest_marker("processes"):
@@ -154,27 +155,7 @@ def values(item: pytest.Item) -> set[object]:
 
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
     """Return an id of a parameter that one can type without quotes, or None for pytest's."""
-    if isinstance(val, str) and val and not TYPABLE.fullmatch(val):
-        return typable(val)
-    if isinstance(val, Mapping):
-        return typable(",".join(f"{key}={named(each)}" for key, each in val.items())) or "empty"
-    if isinstance(val, set | frozenset):  # in the same order in each process
-        return typable(",".join(sorted(named(each) for each in val))) or "empty"
-    if isinstance(val, list | tuple):
-        return typable(",".join(named(each) for each in val)) or "empty"
-    if getattr(val, "__name__", None) == "<lambda>":
-        return argname
-    return None
-
-
-def named(value: object) -> str:
-    """Return the name of a function or class, or else the text of a value."""
-    return str(getattr(value, "__name__", value))
-
-
-def typable(text: str) -> str:
-    """Return the beginning of a text, with underscores in place of what a shell would interpret."""
-    return re.sub(r"[^\w.=+,:-]+", "_", text)[:MAX_ID].strip("_")
+    return id_of(val, argname)
 
 
 def pytest_collection_finish() -> None:

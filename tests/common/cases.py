@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import pytest
+from ids import typable
 
 every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
 every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
@@ -19,17 +20,17 @@ def case(subdomains: tuple, cells: tuple, components: int = 1, **more: object) -
     return {"subdomains": subdomains, "cells": cells, "components": components, **more}
 
 
-def each(names: str, table: dict[str, object]) -> pytest.MarkDecorator:
-    """Parametrise a test over a table of cases by name."""
-    return pytest.mark.parametrize(names, table.values(), ids=table)
+def each(names: str | tuple[str, ...], table: Mapping[str, object]) -> pytest.MarkDecorator:
+    """Parametrise a test over a table of cases by name; blanks become hyphens in the ids."""
+    return pytest.mark.parametrize(names, table.values(), ids=map(typable, table))
 
 
 def wrong_values(table: Iterable[tuple]) -> pytest.MarkDecorator:
     """Parametrise a test over calls, right arguments, and the wrong values of some, one by one."""
     rows = [
-        pytest.param(call, right, name, value, id=f"{call.__name__}-{name}-{i}")
+        pytest.param(call, right, name, value, id=f"{call.__name__}-{typable(f'{name}={value}')}")
         for call, right, columns in table
         for name, values in columns.items()
-        for i, value in enumerate(values)
+        for value in values
     ]
     return pytest.mark.parametrize(("call", "right", "name", "wrong"), rows)

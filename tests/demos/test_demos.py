@@ -312,6 +312,20 @@ def refused(run, capsys, match, *arguments, demo="demo_case.py"):
         (LEAST, {"feti_typ": "classical"}, "-case_feti_typ does not exist; did .*feti_type"),
         (LEAST, {"feti_type": "classic"}, "feti_type.*classic"),
     ],
+    ids=[
+        "degree",
+        "pressure",
+        "size",
+        "steps",
+        "subdomains",
+        "misspelt",
+        "word",
+        "second-number",
+        "no-mesh",
+        "too-many-subdomains",
+        "misspelt-option",
+        "wrong-option",
+    ],
 )
 def test_what_the_case_refuses(run, tmp_path, capsys, arguments, options, match):
     """Words, a missing mesh, and options of the solver."""

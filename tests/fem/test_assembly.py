@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
+from cases import each
 from collective import COMM, agree, dense, equal, small, whole
 from problems import Cell, Problem, cube, elasticity, poisson
 
@@ -75,7 +76,7 @@ PROBLEMS = {
 }
 
 
-@pytest.mark.parametrize("create", PROBLEMS.values(), ids=PROBLEMS)
+@each("create", PROBLEMS)
 def test_sum_of_the_subdomains_is_the_assembled_matrix(create, torn_matrix, lifetime):
     """Coefficients, exterior facets and coordinates included; no Dirichlet dof is touched.
 

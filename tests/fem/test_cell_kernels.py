@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from cases import each
 from collective import COMM, agree, equal
 from problems import Cell, cube
 from ufl_values import displacement, require_equal
@@ -77,7 +78,7 @@ BODIES: dict[str, Callable[[], list[ufl.Form]]] = {
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
+@each("body", BODIES)
 def test_kernel_is_the_assembled_form(body):
     """Energy, residuals and all blocks of the tangent, from one visit of each cell."""
     forms = body()
@@ -94,7 +95,7 @@ ORDERS = {
 }
 
 
-@pytest.mark.parametrize("order", ORDERS.values(), ids=ORDERS)
+@each("order", ORDERS)
 def test_functions_of_several_forms(order):
     """Each form reads its own functions and constants, whichever form names them first."""
     mesh = cube(2, 2)

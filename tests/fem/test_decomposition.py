@@ -13,6 +13,7 @@ import pytest
 import scipy.sparse
 import scipy.sparse.csgraph
 from bodies import block, yeoh
+from cases import each
 from collective import COMM, agree, equal, small, whole
 from problems import Cell, cube, poisson
 from programs import finish, start
@@ -34,7 +35,7 @@ MESHES = {
     "hexahedra": (3, 3, Cell.hexahedron),
     "prisms": (3, 3, Cell.prism),
 }
-every_mesh = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+every_mesh = each("mesh", MESHES)
 
 
 def cells(mesh):

@@ -347,7 +347,7 @@ UNFIT = [
 ]
 
 
-@pytest.mark.parametrize("options", UNFIT, ids=lambda options: " ".join(options.values()))
+@pytest.mark.parametrize("options", UNFIT)
 def test_unsymmetric_matrix_is_solved_as_its_message_says(options, torn_grid, create_ksp):
     problem = torn_grid(change=unsymmetric(0.02), **MANY)
     for _ in range(2):

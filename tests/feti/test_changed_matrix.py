@@ -213,7 +213,7 @@ def test_neighbours_joined_are_refused(torn_grid, create_ksp):
     solved(ksp, problem, random_values(problem))
 
 
-@pytest.mark.parametrize("options", OPTIONS, ids=" ".join)
+@pytest.mark.parametrize("options", OPTIONS)
 @pytest.mark.parametrize("name", CHANGES)
 def test_next_solve_sees(name, options, problem, create_ksp):
     ksp = create_ksp(problem.A, ksp_rtol=RTOL, **options)
@@ -229,7 +229,7 @@ def test_next_solve_sees(name, options, problem, create_ksp):
     solved(ksp, problem, 2.0 * b)
 
 
-@pytest.mark.parametrize("options", OPTIONS, ids=" ".join)
+@pytest.mark.parametrize("options", OPTIONS)
 def test_one_change_after_the_other(options, problem, create_ksp):
     ksp = create_ksp(problem.A, ksp_rtol=RTOL, **options)
     b = random_values(problem)

@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
+from cases import each
 
 from dolfinx_feti.feti.converged_reason import (
     MAX_ROUNDING_SHARE,
@@ -97,7 +98,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+@each("case", CASES)
 def test_reason_of_each_case(case):
     reason = converged_reason(
         case.last,

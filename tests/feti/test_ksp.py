@@ -205,7 +205,7 @@ OPTIONS = [
 ]
 
 
-@pytest.mark.parametrize("options", OPTIONS, ids=str)
+@pytest.mark.parametrize("options", OPTIONS)
 def test_krylov_methods_and_subsolvers_by_prefix(options, torn_grid, create_ksp):
     problem = torn_grid((3, 2), (3, 3), components=2)
     context = solved(create_ksp(problem.A, ksp_rtol=1e-10, **options), problem)

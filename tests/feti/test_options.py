@@ -10,6 +10,7 @@ from petsc4py import PETSc
 
 import pytest
 from collective import COMM, agree, equal, logged_messages, raises, whole
+from ids import id_of
 from problems import cube, elasticity, owned, poisson, torn
 
 import dolfinx
@@ -95,7 +96,10 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("options", "message"), REFUSED, ids=str)
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [pytest.param(options, message, id=id_of(options, "options")) for options, message in REFUSED],
+)
 def test_refused(options, message):
     """When the options are read, with what they may be."""
     with raises(ValueError, message):

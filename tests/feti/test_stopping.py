@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from cases import case, every_formulation, every_type
+from cases import case, each, every_formulation, every_type
 from collective import COMM, agree, equal, logged_messages, small, whole
 from hand_torn import random_values, solve, unsymmetric
 from penalty import (
@@ -83,7 +83,7 @@ MESHES = {
 
 @every_formulation
 @pytest.mark.parametrize("body", [spring_bar, nitsche_bar, heavy_bar, jump_bar])
-@pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
+@each("mesh", MESHES)
 def test_elements(mesh, body, formulation):
     dim, cell, cells, degree = mesh
     ratio = 1e4 if body is jump_bar else 1e7
@@ -118,7 +118,7 @@ METHODS = {
 
 
 @every_type
-@pytest.mark.parametrize(("share", "options"), METHODS.values(), ids=METHODS)
+@each(("share", "options"), METHODS)
 def test_penalty_by_hand(share, options, kind, torn_grid, create_ksp):
     """A thousand million times the stiffness on the diagonal of one end, by each method.
 
@@ -198,7 +198,7 @@ def two_fields(units, h=1e6):
 @pytest.mark.parametrize(
     "units",
     [((1, 1), (1, 1)), ((1, 1), (1e6, 1e6)), ((1e4, 1e4), (1, 1)), ((1, 1), (1e-4, 1e7))],
-    ids=["equal", "second small", "first small", "other equations"],
+    ids=["equal", "second-small", "first-small", "other-equations"],
 )
 def test_no_component_hides_another(units, formulation):
     """Each component is right relative to itself."""
@@ -254,7 +254,7 @@ def test_component_that_vanishes_costs_nothing(formulation):
 
 
 @every_formulation
-@pytest.mark.parametrize("stiff", [1.0, 1e6], ids=["", "others stiffer"])
+@pytest.mark.parametrize("stiff", [1.0, 1e6], ids=["alike", "others-stiffer"])
 def test_component_without_a_load_costs_nothing(stiff, formulation):
     """Three fields that nothing couples, one loaded: the preconditioner mixes error into others."""
     mesh = cube(3, 6)
@@ -277,7 +277,7 @@ def test_component_without_a_load_costs_nothing(stiff, formulation):
 
 
 @every_formulation
-@pytest.mark.parametrize("units", [1.0, 1e6], ids=["", "in small units"])
+@pytest.mark.parametrize("units", [1.0, 1e6], ids=["in-units", "in-small-units"])
 def test_scalars(units, formulation, torn_grid, create_ksp):
     """Two scalars beside a penalty of 1e9 times the stiffness, each right relative to itself."""
     k = 1e9

@@ -270,7 +270,7 @@ PROBLEMS = {
     "held in single nodes": case(
         (2, 2), (2, 2), 2, fixed=lambda x: np.isin(np.arange(len(x)), (0, len(x) - 1))
     ),
-    "rotations that nobody has told": case((2, 2), (2, 2), 2, modes=2),
+    "no rotations in the near kernel": case((2, 2), (2, 2), 2, modes=2),
 }
 every_grid = each("grid", PROBLEMS)
 

@@ -105,7 +105,7 @@ def test_signature_of_what_is_made_again():
         ("RT", 3),
         basix.ufl.quadrature_element("tetrahedron", degree=3),
     ],
-    ids=str,
+    ids=["P3", "N1curl", "RT", "quadrature"],
 )
 def test_elements_on_other_numbers_of_processes(tmp_path, element):
     """Edges and faces are turned otherwise there: the field is the same."""

@@ -111,7 +111,7 @@ def _ordered(element, nodes):
         ([0.5, 0.5, 0.5], r"points has the shape \(3,\)"),
         ([[0.5, np.nan]], "give finite coordinates"),
     ],
-    ids=["outside", "three coordinates", "not a number"],
+    ids=["outside", "three-coordinates", "not-a-number"],
 )
 def test_wrong_points_are_named(points, message):
     """Wrong points are an error on all processes."""

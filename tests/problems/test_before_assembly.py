@@ -230,7 +230,7 @@ def test_each_state_is_announced():
     agree(len(seen) == before + 1)  # the residual and the tangent are of one state
 
 
-@pytest.mark.parametrize("everywhere", [True, False], ids=["all ranks", "one rank"])
+@pytest.mark.parametrize("everywhere", [True, False], ids=["all-ranks", "one-rank"])
 def test_error_in_the_function(everywhere):
     """It is raised on all processes, at the start and in the line search."""
     plate = Plate(cells=2)

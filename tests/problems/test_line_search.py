@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from cases import each
 
 from dolfinx_feti.problems.equations.state import StateValues
 from dolfinx_feti.problems.equations.system import Residual
@@ -121,7 +122,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(("system", "shifted", "alpha"), CASES.values(), ids=CASES)
+@each(("system", "shifted", "alpha"), CASES)
 def test_step_length(system, shifted, alpha):
     assert search(OneUnknown(**system), shifted=shifted) == alpha
 

@@ -19,7 +19,7 @@ from dolfinx_feti import ConvergenceError, NonlinearProblem
 Reason = PETSc.SNES.ConvergedReason
 
 every_unit = pytest.mark.parametrize(
-    ("unit", "length"), [(1.0, 1.0), (1e9, 1e-3)], ids=["1 kPa, 1 m", "1e9 kPa, 1 mm"]
+    ("unit", "length"), [(1.0, 1.0), (1e9, 1e-3)], ids=["1-kPa-1-m", "1e9-kPa-1-mm"]
 )
 
 

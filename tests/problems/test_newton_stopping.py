@@ -13,7 +13,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from cases import every_formulation
+from cases import each, every_formulation
 from collective import agree, equal, logged_messages, lu_solve, small
 from penalty import bar_mesh, far, greatest, off_by
 from problems import dirichlet, left, owned, tagged
@@ -164,12 +164,12 @@ def test_linear_body(formulation):
     agree(all(step.tangent_lag for step in history[1:]), history)
 
 
-@pytest.mark.parametrize("units", [(1e-6, 1e3), (1e9, 1e-3)], ids=["MPa km", "mm"])
+@pytest.mark.parametrize("units", [(1e-6, 1e3), (1e9, 1e-3)], ids=["MPa-km", "mm"])
 def test_law_of_units(units):
     """In other units the steps and their iterations are the same, and so is the estimate."""
     histories = []
-    for each in ((1.0, 1.0), units):
-        body = bar(1e6, units=each)
+    for stress_and_length in ((1.0, 1.0), units):
+        body = bar(1e6, units=stress_and_length)
         problem = body.problem()
         problem.solve()
         histories.append([(step.linear_iterations, step.step_length) for step in problem.history])
@@ -286,7 +286,7 @@ WALLS = {
 
 
 @every_formulation
-@pytest.mark.parametrize(("create", "pressures"), WALLS.values(), ids=WALLS)
+@each(("create", "pressures"), WALLS)
 def test_no_iteration_more_without_a_penalty(create, pressures, formulation, monkeypatch):
     now = path(create, pressures, formulation)
     monkeypatch.setattr(ComponentNorms, "largest_ratio", lambda *_: 0.0)

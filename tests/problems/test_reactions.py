@@ -244,7 +244,7 @@ def test_surface_inside_that_branches():
         (np.array([0.5]), "give an array of numbers of facets"),
         (np.array([10**6]), "facets contains 1000000"),
     ],
-    ids=["none", "no numbers", "too large"],
+    ids=["none", "no-numbers", "too-large"],
 )
 def test_wrong_facets_are_named(facets, message):
     """Wrong facets are an error on all processes."""

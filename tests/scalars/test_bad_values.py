@@ -6,8 +6,7 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
-from cases import wrong_values
+from cases import each, wrong_values
 from collective import COMM, raises
 from inflated import balloon, balloon_cavity, tube
 from problems import cube, elasticity, poisson
@@ -119,7 +118,7 @@ UNFIT = {
 }
 
 
-@pytest.mark.parametrize(("kind", "make", "message"), UNFIT.values(), ids=UNFIT)
+@each(("kind", "make", "message"), UNFIT)
 def test_couplings_that_do_not_fit(kind, make, message):
     body = kind(2) if kind is balloon else kind((2, 3))
     with raises(ValueError, message):
@@ -167,7 +166,7 @@ DEPENDENT = {
 }
 
 
-@pytest.mark.parametrize(("kind", "make", "message"), DEPENDENT.values(), ids=DEPENDENT)
+@each(("kind", "make", "message"), DEPENDENT)
 def test_constraints_without_a_solution(kind, make, message):
     """One error, before the first solve."""
     body = kind(cube(3, 2), clamped=None)

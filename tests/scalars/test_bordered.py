@@ -109,7 +109,7 @@ def test_nearly_singular(form, distance, torn_grid, create_ksp):
 
 @forms
 @pytest.mark.parametrize("rolls", [False, True])
-@pytest.mark.parametrize("grid", [(3, 2), (1, 1)], ids=["", "processes without dofs"])
+@pytest.mark.parametrize("grid", [(3, 2), (1, 1)], ids=["many", "processes-without-dofs"])
 def test_floating_body(grid, form, rolls, torn_grid, create_ksp):
     """No condition, or one on a component; mean values and a rotation fix the rest."""
 

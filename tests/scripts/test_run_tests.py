@@ -149,9 +149,7 @@ def commands(folder: Path, target: str, cores: int, **variables: str) -> str:
     return subprocess.check_output(command, env=environment, text=True)
 
 
-@pytest.mark.parametrize(
-    "variables", [{}, {"OMP_NUM_THREADS": "1"}, {"OMP_THREAD_LIMIT": "1"}], ids=str
-)
+@pytest.mark.parametrize("variables", [{}, {"OMP_NUM_THREADS": "1"}, {"OMP_THREAD_LIMIT": "1"}])
 def test_demo_takes_all_cores(tmp_path, variables):
     """However many threads OpenMP may start: each process is to have one of them."""
     two = "OMP_NUM_THREADS=1 mpirun -n 2 python3 demos/"

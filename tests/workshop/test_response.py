@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import workshop_materials as energies
+from cases import each
 from scipy.optimize import brentq
 from workshop_materials import ANGLE, C01, C10, FIBRE, HGO, LMBDA, MU, C, material, rotation
 
@@ -39,7 +40,7 @@ RUBBER = {
 }
 
 
-@pytest.mark.parametrize(("make", "stress"), RUBBER.values(), ids=RUBBER)
+@each(("make", "stress"), RUBBER)
 def test_incompressible_rubber(make, stress):
     neo_hookean = ((psi, C / 2, 0) for psi in (energies.neo_hookean, energies.unsplit))
     for psi, c10, c01 in (*neo_hookean, (energies.mooney_rivlin, C10, C01)):

@@ -10,7 +10,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from cases import case
+from cases import case, each
 from collective import agree, raises, small
 from hand_torn import random_values, solve, solved
 
@@ -124,7 +124,7 @@ HUGE = {
 }
 
 
-@pytest.mark.parametrize("options", HUGE.values(), ids=HUGE)
+@each("options", HUGE)
 def test_no_memory_is_reserved_for_iterations_that_are_not_taken(
     options, little_memory, torn_grid, create_ksp
 ):

@@ -10,6 +10,7 @@ import itertools
 
 import numpy as np
 import pytest
+from cases import each
 from collective import COMM, agree, small
 from problems import Problem, dirichlet, torn
 
@@ -84,7 +85,7 @@ BODIES = {
 
 
 @pytest.mark.processes(1, 2, 3)
-@pytest.mark.parametrize(("create", "tolerance"), BODIES.values(), ids=BODIES)
+@each(("create", "tolerance"), BODIES)
 def test_hard_bodies_take_few_iterations(create, tolerance):
     problem = torn(create(), None, "hard_")
     with Lifetime() as owned:

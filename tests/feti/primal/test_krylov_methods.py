@@ -9,7 +9,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from cases import case
+from cases import case, each
 from collective import agree, equal, random_part, small, whole
 
 from dolfinx_feti.feti.primal.krylov.registry import KRYLOV_METHODS
@@ -98,7 +98,7 @@ RESIDUALS = {
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize("residual", RESIDUALS.values(), ids=RESIDUALS)
+@each("residual", RESIDUALS)
 def test_reason_of_residual(residual):
     test, norm, its, error, expected = residual
     reason = test.reason_of_residual(norm, its, error)

@@ -97,7 +97,7 @@ def test_spectrum(kind, interior, modes, torn_grid, create_primal, create_dual):
 
 
 @pytest.mark.parametrize(
-    ("share", "proved"), [(0.002, 0), (0.02, 3)], ids=["met by CG", "told by the coarse space"]
+    ("share", "proved"), [(0.002, 0), (0.02, 3)], ids=["met-by-CG", "found-by-the-coarse-space"]
 )
 def test_negative_curvature(share, proved, torn_grid, create_primal):
     """An indefinite matrix is reported, although K_ρ is definite."""

@@ -135,7 +135,7 @@ def test_start_and_projection(change, interior, torn_grid, create_primal):
 
 
 @every_change
-@pytest.mark.parametrize("first", [200, 7], ids=["all iterations", "a few"])
+@pytest.mark.parametrize("first", [200, 7], ids=["all-iterations", "a-few"])
 def test_ritz_vectors(change, first, torn_grid, create_primal):
     """W = Π_V M Q, Wᵀ Q = I, and W diagonalises A; also where an earlier W was deflated."""
     primal = create_primal(torn_grid(change=change, **GRID), interior="eliminate")

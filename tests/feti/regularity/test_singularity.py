@@ -259,7 +259,7 @@ def test_every_formulation_refuses_what_is_loose(
 
 @every_type
 @every_interior
-@pytest.mark.parametrize("dense", [1000, 5], ids=["all vectors", "inverse iteration"])
+@pytest.mark.parametrize("dense", [1000, 5], ids=["all-vectors", "inverse-iteration"])
 def test_hinge_that_is_held_is_no_mechanism(
     dense, kind, interior, torn_bricks, create_ksp, monkeypatch
 ):

@@ -280,7 +280,7 @@ def test_elimination_is_exact(kind, change, way, torn_grid, create_dual):
         (1300, 700, True, True),
         (8900, 2300, True, False),
     ],
-    ids=["small", "part of a thin wall", "compact", "compact, with a pressure", "large"],
+    ids=["small", "part-of-a-thin-wall", "compact", "compact-with-a-pressure", "large"],
 )
 def test_choice(n, on_interface, condensed, worth):
     """Dense blocks for thin walls, small subdomains, and condensed pressures; not if too large."""

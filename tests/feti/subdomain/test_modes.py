@@ -184,7 +184,7 @@ class DenseMatrix:
         return SimpleNamespace(solve=lambda X, transpose: inverse @ X, destroy=lambda: None)
 
 
-@pytest.mark.parametrize("dense", [100, 5], ids=["all vectors", "inverse iteration"])
+@pytest.mark.parametrize("dense", [100, 5], ids=["all-vectors", "inverse-iteration"])
 def test_null_vectors_of_a_graded_matrix(dense, monkeypatch):
     """They are those of the scaled matrix, although the factor is that of the matrix before."""
     monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", dense)
@@ -298,7 +298,7 @@ def test_more_soft_modes_fewer_iterations(kind, torn_grid, create_ksp):
 @pytest.mark.parametrize(
     ("taken", "adaptive", "found"),
     [(0.0, 9, False), (0.0, 0, True), (1e-6, 9, False), (1e-3, 9, True)],
-    ids=["at rest", "no adaptive columns", "hardly softened", "softened"],
+    ids=["at-rest", "no-adaptive-columns", "hardly-softened", "softened"],
 )
 def test_adaptive_columns_take_the_place_of_soft_modes(
     taken, adaptive, found, torn_grid, read_pattern, lifetime

@@ -234,7 +234,9 @@ def test_modes_that_the_last_front_does_not_determine(factored):
     equal((both + RHO * modes @ modes.T) @ factor.solve(Y), Y, 1e-11)
 
 
-@pytest.mark.parametrize("image", [[-1.0, 1.0], [np.inf, 1.0], [np.nan, 1.0]], ids=str)
+@pytest.mark.parametrize(
+    "image", [[-1.0, 1.0], [np.inf, 1.0], [np.nan, 1.0]], ids=["minus-one", "inf", "nan"]
+)
 def test_refuses_a_singular_correction(image):
     """Λ⁻¹ + Vᵀ Z is singular, or Inf, or NaN, with V = I and Λ = diag(1, −1)."""
     R = np.array([[1.0], [1.0]]) * np.sqrt(0.5)
@@ -264,7 +266,7 @@ def test_unsymmetric_matrices_and_long_indices_have_pivots(
 
 # ---- null vectors of random matrices --------------------------------------------------------
 
-every_size = pytest.mark.parametrize("dense", [1000, 10], ids=["all vectors", "inverse iteration"])
+every_size = pytest.mark.parametrize("dense", [1000, 10], ids=["all-vectors", "inverse-iteration"])
 every_kind = pytest.mark.parametrize("kind", ["pivots", "fronts", "dense"])
 
 
