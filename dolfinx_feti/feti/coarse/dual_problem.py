@@ -20,20 +20,22 @@ If A has a null space Z = E Z_c, then N Z_c = 0, and N is made regular along Z_c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_feti.errors import SetUpError
-from dolfinx_feti.feti.coarse.null_space import fix_null_space
+from dolfinx_feti.feti.coarse.null_space import is_null_space, make_regular
 from dolfinx_feti.feti.coarse.solver import CoarseSolver
 from dolfinx_feti.feti.coarse.weighted_columns import WeightedColumns, compute_weighted_columns
 from dolfinx_feti.feti.interface.gluing import Gluing
 from dolfinx_feti.feti.preconditioners.base import Preconditioner
-from dolfinx_feti.feti.subdomain.block_diagonal import block_columns, block_diagonal
+from dolfinx_feti.feti.subdomain.block_diagonal import (
+    block_columns,
+    block_diagonal,
+    distributed_block_diagonal,
+)
 from dolfinx_feti.feti.subdomain.failures import on_subdomains
 from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
 from dolfinx_feti.feti.subsolver_options import DirectOptions
@@ -42,8 +44,7 @@ from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.null_space import read_null_space
 
-#: PETSc's hint for sums of matrices with different patterns.
-DIFFERENT = PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+Structure = PETSc.Mat.Structure
 
 #: Share ε of the diagonal weight in Q = M + ε diag(q). M vanishes on G s if subdomains in a row
 #: move in alternate directions; the second term makes Q definite there, and should change Q little
@@ -115,19 +116,22 @@ class DualCoarseProblem:
             self.G = owned.own(gluing.B.matMult(E))  # G = B E
             E.destroy()
             self.q = owned.own(_diagonal_weight(torn, preconditioner.B_D.matrix, weight))
-            self.D = owned.own(_distributed([of_subdomain.D for of_subdomain in modes], torn))
+            D = block_diagonal([of_subdomain.D for of_subdomain in modes if len(of_subdomain.D)])
+            self.D = owned.own(distributed_block_diagonal(D, torn.A.comm))
             N = self._galerkin_matrix_of_diagonal()  # Gᵀ diag(q) G + D
             if weight == "preconditioner":
-                self.MG, galerkin_matrix = compute_weighted_columns(preconditioner, delta, inverse)
+                self.MG, G_MG = compute_weighted_columns(preconditioner, delta, inverse)
                 owned.own(self.MG)
-                galerkin_matrix.axpy(1.0, N, structure=DIFFERENT)  # Gᵀ M G couples more subdomains
+                # Gᵀ M G couples more subdomains than N: N is added to it, and not vice versa.
+                G_MG.axpy(1.0, N, structure=Structure.DIFFERENT_NONZERO_PATTERN)
                 N.destroy()
-                N = galerkin_matrix
+                N = G_MG
             self.N = owned.own(N)
             Z = read_null_space(torn)
             Z_c = on_subdomains(lambda: self._amplitudes(Z), comm)
-            if not fix_null_space(self.N, Z_c):
+            if not is_null_space(self.N, Z_c):
                 raise SetUpError(NULL_SPACE_RESISTED)
+            make_regular(self.N, Z_c)
             self.N.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.solver = owned.own(
                 CoarseSolver(
@@ -147,7 +151,7 @@ class DualCoarseProblem:
         weighted.diagonalScale(L=self.q)  # diag(q) G
         N = self.G.transposeMatMult(weighted)
         weighted.destroy()
-        N.axpy(1.0, self.D, structure=DIFFERENT)
+        N.axpy(1.0, self.D, structure=Structure.DIFFERENT_NONZERO_PATTERN)
         return N
 
     def solve(self, e: Array) -> Array:
@@ -190,28 +194,6 @@ class DualCoarseProblem:
     def destroy(self) -> None:
         """Free matrices and solver."""
         self._owned.close()
-
-
-def _distributed(blocks: Sequence[Array], torn: Torn) -> PETSc.Mat:
-    """Create a block-diagonal coarse matrix, (N_c, N_c). Collective.
-
-    Args:
-        blocks: Block of each subdomain of this process, (k_i, k_i).
-        torn: The torn matrix, for its communicator.
-
-    Returns:
-        The matrix; the caller destroys it.
-    """
-    local = block_diagonal([block for block in blocks if len(block)])
-    n_c = local.shape[0]
-    first = torn.comm.scan(n_c) - n_c
-    N_c = torn.comm.allreduce(n_c)
-    csr = (
-        local.indptr.astype(PETSc.IntType),
-        (local.indices + first).astype(PETSc.IntType),
-        local.data,
-    )
-    return PETSc.Mat().createAIJ(((n_c, N_c), (n_c, N_c)), csr=csr, comm=torn.A.comm)
 
 
 def _diagonal_weight(torn: Torn, B_D: PETSc.Mat, weight: str) -> PETSc.Vec:

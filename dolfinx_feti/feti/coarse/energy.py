@@ -23,7 +23,7 @@ from petsc4py import PETSc
 import numpy as np
 import scipy.sparse
 
-from dolfinx_feti.feti.subdomain.block_diagonal import block_diagonal
+from dolfinx_feti.feti.subdomain.block_diagonal import block_diagonal, distributed_block_diagonal
 from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part, unit_scale
 from dolfinx_feti.runtime.arrays import Array, Numbers
 
@@ -161,10 +161,7 @@ def change_of_basis(A: PETSc.Mat, B: scipy.sparse.csr_array) -> PETSc.Mat:
         changed.diagonalScale(scale, scale)
         scale.destroy()
         return changed
-    first = comm.scan(n_0) - n_0
-    N_0 = comm.allreduce(n_0)
-    csr = (B.indptr.astype(PETSc.IntType), (B.indices + first).astype(PETSc.IntType), B.data)
-    distributed = PETSc.Mat().createAIJ((A.getSizes()[0], (n_0, N_0)), csr=csr, comm=A.comm)
+    distributed = distributed_block_diagonal(B, A.comm)
     changed = A.ptap(distributed)
     distributed.destroy()
     return changed

@@ -26,7 +26,7 @@ from dolfinx_feti.feti.coarse.energy import (
     energy_tolerances,
     independent_combinations,
 )
-from dolfinx_feti.feti.coarse.null_space import fix_null_space
+from dolfinx_feti.feti.coarse.null_space import is_null_space, make_regular
 from dolfinx_feti.feti.coarse.products import (
     amplifies_rounding,
     compute_products,
@@ -106,7 +106,7 @@ class PrimalCoarseProblem:
                     self.combinations = combinations.without_zero_energy()
                 B = self.combinations.B
                 self.A_0 = owned.own(change_of_basis(energies, B))  # Bᵀ Vᵀ A V B
-            self._fix_null_space(S)
+            self._make_regular_along_null_space(S)
             self.A_0.setOption(PETSc.Mat.Option.SYMMETRIC, is_symmetric)
 
             self.solver = owned.own(
@@ -129,17 +129,15 @@ class PrimalCoarseProblem:
             self._x, self._e = (owned.own(vector) for vector in self.A_0.createVecs())
             self._owned = owned.pop_all()
 
-    def _fix_null_space(self, S: SchurOperator) -> None:
-        """Make A₀ regular along the null space of A that the user has given. Collective.
+    def _make_regular_along_null_space(self, S: SchurOperator) -> None:
+        """Make A₀ regular along the null space Z of A that the user has given. Collective.
 
-        If subdomains resist the null space (K_i Z ≠ 0, although A Z = 0), the span of V B does not
-        contain it. Then A₀ y ≠ 0 for the amplitudes y of :meth:`_amplitudes`, ``fix_null_space``
-        changes nothing, and its result is not needed, unlike in the dual formulation: A₀ is not
-        singular along y, and of what the span contains, the coarse solver leaves out the zero
-        pivot. The solution is right, but takes longer: a free rectangle of six subdomains with
-        springs that cancel, of 1e-6 to 1e-2 of the stiffness, took 37 to 339 iterations instead of
-        9, with eliminated interiors; with a side clamped, 5 to 8. The springs are those of
-        tests/feti/test_null_space.py.
+        The span of V B contains Z, unless subdomains resist it: K_i Z ≠ 0, although A Z = 0. Then
+        A₀ y ≠ 0 for the amplitudes y of :meth:`_amplitudes`, and A₀ remains as it is. It may have
+        zero pivots, which the coarse solver leaves out. Solutions are right, but take longer: a
+        free rectangle of six subdomains with springs that cancel, of 1e-6 to 1e-2 of the stiffness,
+        takes 37 to 339 iterations instead of 9, with eliminated interiors; with a side clamped, 5
+        to 8. The springs are those of tests/feti/test_null_space.py.
 
         Args:
             S: Schur complements of the present matrix.
@@ -147,7 +145,8 @@ class PrimalCoarseProblem:
         copies = self.V.copies
         Z = read_null_space(S.torn)[copies.dofs]
         y = on_subdomains(lambda: self._amplitudes(Z), copies.comm)
-        fix_null_space(self.A_0, y)
+        if is_null_space(self.A_0, y):
+            make_regular(self.A_0, y)
 
     def _amplitudes(self, Z: Array) -> Array:
         """Return y with Z = V B y for fields in the span of V B.
@@ -214,7 +213,7 @@ class PrimalCoarseProblem:
             ε.array[:] = NEGATIVE_ENERGY_MARGIN * (B.multiply(B).T @ of_columns)
             shifted = owned.own(self.A_0.copy())
             shifted.setDiagonal(ε, addv=PETSc.InsertMode.ADD_VALUES)
-            # Without block widths: A₀ + ε most often has negative eigenvalues, and no factor by
-            # fronts, and a group counts them.
+            # A₀ + ε most often has negative eigenvalues, for which there is no factor by fronts. No
+            # block widths are passed, so that none is tried and a group counts them at once.
             solver = owned.own(CoarseSolver(shifted, options=options, is_symmetric=True))
             return solver.inertia().negative

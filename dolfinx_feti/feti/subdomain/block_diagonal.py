@@ -35,12 +35,26 @@ def block_columns(torn: Torn, blocks: Sequence[tuple[Indices, Array]]) -> PETSc.
     """
     local = block_diagonal([values for _, values in blocks]).tocoo()
     row = concatenate([rows for rows, _ in blocks], np.int32)[local.row]
-    size = local.shape[1]
-    start = torn.comm.scan(size) - size
-    columns = scipy.sparse.csr_array((local.data, (row, local.col)), shape=(torn.n, size))
+    shape = (torn.n, local.shape[1])
+    columns = scipy.sparse.csr_array((local.data, (row, local.col)), shape=shape)
+    return distributed_block_diagonal(columns, torn.A.comm)
+
+
+def distributed_block_diagonal(block: scipy.sparse.csr_array, comm: PETSc.Comm) -> PETSc.Mat:
+    """Create a block-diagonal matrix with one block for each process. Collective.
+
+    Args:
+        block: Block of this process, (r, c).
+        comm: Communicator of the matrix.
+
+    Returns:
+        The matrix, (Σ r, Σ c) over the processes; the caller destroys it.
+    """
+    rows, columns = block.shape
+    first_column = comm.tompi4py().scan(columns) - columns
     csr = (
-        columns.indptr.astype(PETSc.IntType),
-        (columns.indices + start).astype(PETSc.IntType),
-        columns.data,
+        block.indptr.astype(PETSc.IntType),
+        (block.indices + first_column).astype(PETSc.IntType),
+        block.data,
     )
-    return PETSc.Mat().createAIJ(((torn.n, None), (size, None)), csr=csr, comm=torn.A.comm)
+    return PETSc.Mat().createAIJ(((rows, None), (columns, None)), csr=csr, comm=comm)
