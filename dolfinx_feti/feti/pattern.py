@@ -99,11 +99,11 @@ def create_pattern(
 
     symmetric_part_analysis: Analysis | None = None
     with event("FETIFactor"):
-        analysis = _analyse(torn, subdomains, options, subsolvers, symmetric=is_symmetric)
+        analysis = _analyse(torn, subdomains, options, subsolvers, is_symmetric=is_symmetric)
         if not is_symmetric:
             with torn_symmetric_part(torn) as part:
                 symmetric_part_analysis = _analyse(
-                    part, subdomains, options, subsolvers, symmetric=True
+                    part, subdomains, options, subsolvers, is_symmetric=True
                 )
     return Pattern(
         options=options,
@@ -124,7 +124,7 @@ def _analyse(
     options: FETIOptions,
     subsolvers: SubsolverOptions,
     *,
-    symmetric: bool,
+    is_symmetric: bool,
 ) -> Analysis:
     """Analyse how the blocks of all subdomains are factored.
 
@@ -136,13 +136,13 @@ def _analyse(
         subdomains: The subdomains of this process.
         options: Options of the solver.
         subsolvers: Options of its sub-solvers.
-        symmetric: Whether the local matrix of ``torn`` is symmetric.
+        is_symmetric: Whether the local matrix of ``torn`` is symmetric.
     """
     return analyse(
         torn,
         subdomains,
         options.interior,
-        symmetric=symmetric,
+        is_symmetric=is_symmetric,
         needs_interior_factors=PRECONDITIONERS[options.pc_type].needs_interior_factors,
         subsolvers=subsolvers,
     )

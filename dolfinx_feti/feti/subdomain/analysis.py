@@ -4,11 +4,11 @@
 r"""Whether the interior of the subdomains is eliminated; symbolic factors of their matrices.
 
 If the interior is *kept*, S and :math:`K_ρ^{-1}` are applied by sparse factors of :math:`K_{II}`
-and :math:`K_ρ`. If it is *eliminated*, S is formed: a dense matrix of the size of Γ for each
-subdomain, of which :math:`S_ρ` is factored. The option ``feti_interior auto`` eliminates in two
-cases: if the S take about the memory of the sparse factors (:data:`MAX_DENSITY`), or if a pressure
-is condensed, because the iterations then depend on adaptive columns, which are exact only if S is
-formed (docs/theory.md).
+and :math:`K_ρ`. If it is *eliminated*, a dense :math:`S_i` of the size of Γ is formed for each
+subdomain, and :math:`S_ρ` is factored. The option ``feti_interior auto`` eliminates in two cases:
+if all :math:`S_i` need about as much memory as the sparse factors (:data:`MAX_MEMORY_RATIO`), or if
+a pressure is condensed. In the second case the iterations depend on adaptive columns, which are
+exact only if :math:`S_i` is formed (docs/theory.md).
 """
 
 from __future__ import annotations
@@ -28,18 +28,19 @@ from dolfinx_feti.feti.subdomain.subdomain import Subdomain
 from dolfinx_feti.feti.subsolver_options import SubsolverOptions
 from dolfinx_feti.torn.matrix import Torn
 
-#: Entries of all S, over the sum of all :math:`n_i^{4/3}`, up to which S is formed: the entries of
-#: a sparse factor in three dimensions grow like that, with a coefficient of about this size.
-MAX_DENSITY = 30.0
+#: Largest number of entries of all :math:`S_i`, over the sum of :math:`n_i^{4/3}`, with which they
+#: are formed. A sparse factor in three dimensions has about 30 :math:`n_i^{4/3}` entries.
+MAX_MEMORY_RATIO = 30.0
 
-#: Dofs of the largest interface with which S is formed. A memory bound: 2048² doubles are 32 MiB.
+#: Largest interface of a subdomain with which S is formed [dofs]. A memory bound: 2048² doubles are
+#: 32 MiB.
 MAX_INTERFACE = 2048
 
-#: Right-hand sides that MUMPS solves for at once with K_ρ, whose columns are modes. A memory bound:
-#: 32 columns of 10⁴ dofs are 2.4 MiB.
+#: Right-hand sides of K_ρ, which are modes, that MUMPS solves for at once. A memory bound: 32
+#: columns of 10⁴ dofs are 2.4 MiB.
 RIGHT_HAND_SIDES = 32
 
-#: The same with K_II where S is formed by solves, which have a column for each dof of Γ. A memory
+#: The same for K_II if S is formed by solves, with one right-hand side for each dof of Γ. A memory
 #: bound: 256 columns of 10⁴ dofs are 20 MiB.
 RIGHT_HAND_SIDES_FOR_S = 256
 
@@ -50,14 +51,14 @@ class SubdomainAnalysis:
 
     Attributes:
         subdomain: The subdomain.
-        symbolic: Symbolic factor of K_i; None if PETSc factors K_i, or if it is not factored,
-            because S_i takes its place.
-        interior_symbolic: Symbolic factor of K_II, or, if the interior is eliminated, of K_i with
-            the interface Γ, which leaves S_i. None if PETSc factors K_II, or if it is not factored.
+        local_symbolic: Symbolic factor of the regularised K_i; None if PETSc factors it, or if the
+            interior is eliminated, so that S_i is factored instead.
+        interior_symbolic: Symbolic factor that eliminates the interior: it factors K_II, and forms
+            S_i as well if S is formed. None if PETSc factors K_II, or if K_II is not factored.
     """
 
     subdomain: Subdomain
-    symbolic: SymbolicFactor | None
+    local_symbolic: SymbolicFactor | None
     interior_symbolic: SymbolicFactor | None
 
 
@@ -67,7 +68,8 @@ class Analysis:
 
     Attributes:
         is_interior_eliminated: Whether the interior is eliminated, and S is formed.
-        has_interior_factors: Whether K_II is factored; always if the interior is eliminated.
+        has_interior_factors: Whether K_II is factored, as it always is if the interior is
+            eliminated.
         local_options: How PETSc factors K_ρ, if it does.
         interior_options: How PETSc factors K_II, if it does.
         by_subdomain: The subdomains of this process with their symbolic factors.
@@ -90,17 +92,17 @@ def analyse(
     subdomains: list[Subdomain],
     interior: Literal["auto", "keep", "eliminate"],
     *,
-    symmetric: bool,
+    is_symmetric: bool,
     needs_interior_factors: bool,
     subsolvers: SubsolverOptions,
 ) -> Analysis:
-    """Choose how to factor, and order the eliminations. Collective.
+    """Choose whether to eliminate the interior, and create the symbolic factors. Collective.
 
     Args:
         torn: The torn matrix.
         subdomains: The subdomains of this process.
         interior: The option ``feti_interior``; not ``eliminate`` for an unsymmetric K.
-        symmetric: Whether K is symmetric.
+        is_symmetric: Whether K is symmetric.
         needs_interior_factors: Whether K_II is factored even if the interior is kept.
         subsolvers: Options of the factors.
 
@@ -109,19 +111,19 @@ def analyse(
     """
     is_interior_eliminated = interior == "eliminate"
     if interior == "auto":
-        is_interior_eliminated = symmetric and is_worth_eliminating(torn, subdomains)
+        is_interior_eliminated = is_symmetric and is_worth_eliminating(torn, subdomains)
     interior_columns = RIGHT_HAND_SIDES_FOR_S if is_interior_eliminated else RIGHT_HAND_SIDES
-    local_options = FactorOptions(subsolvers.local, symmetric, RIGHT_HAND_SIDES)
-    interior_options = FactorOptions(subsolvers.dirichlet, symmetric, interior_columns)
+    local_options = FactorOptions(subsolvers.local, is_symmetric, RIGHT_HAND_SIDES)
+    interior_options = FactorOptions(subsolvers.dirichlet, is_symmetric, interior_columns)
     free_dofs = [s.free_dofs for s in subdomains]
     no_interfaces = [np.zeros(0, dtype=np.int32) for _ in subdomains]
-    symbolic: Sequence[SymbolicFactor | None] = [None] * len(subdomains)
+    local_symbolic: Sequence[SymbolicFactor | None] = [None] * len(subdomains)
     interior_symbolic: Sequence[SymbolicFactor | None] = [None] * len(subdomains)
     if is_interior_eliminated:
         interfaces = [np.flatnonzero(s.is_on_interface).astype(np.int32) for s in subdomains]
         interior_symbolic = analyse_blocks(torn, free_dofs, interfaces, interior_options)
     else:
-        symbolic = analyse_blocks(torn, free_dofs, no_interfaces, local_options)
+        local_symbolic = analyse_blocks(torn, free_dofs, no_interfaces, local_options)
         if needs_interior_factors:
             interiors = [s.interior for s in subdomains]
             interior_symbolic = analyse_blocks(torn, interiors, no_interfaces, interior_options)
@@ -132,16 +134,18 @@ def analyse(
         interior_options=interior_options,
         by_subdomain=[
             SubdomainAnalysis(s, of_K_i, of_interior)
-            for s, of_K_i, of_interior in zip(subdomains, symbolic, interior_symbolic, strict=True)
+            for s, of_K_i, of_interior in zip(
+                subdomains, local_symbolic, interior_symbolic, strict=True
+            )
         ],
     )
 
 
 def is_worth_eliminating(torn: Torn, subdomains: Sequence[Subdomain]) -> bool:
-    """Return True if ``feti_interior auto`` eliminates. Collective.
+    """Return True if ``feti_interior auto`` eliminates the interior. Collective.
 
-    It does if no interface is large (:data:`MAX_INTERFACE`), and all S take about the memory of
-    sparse factors (:data:`MAX_DENSITY`), or a pressure is condensed.
+    Two conditions: no interface is large (:data:`MAX_INTERFACE`); and either all S_i need about as
+    much memory as sparse factors (:data:`MAX_MEMORY_RATIO`), or a pressure is condensed.
     """
     dofs = np.array([len(s.free_dofs) for s in subdomains], dtype=np.float64)
     on_interface = np.array([len(s.interface) for s in subdomains], dtype=np.float64)
@@ -149,8 +153,8 @@ def is_worth_eliminating(torn: Torn, subdomains: Sequence[Subdomain]) -> bool:
         np.array([(on_interface**2).sum(), (dofs ** (4 / 3)).sum()])
     )
     largest = torn.comm.allreduce(on_interface.max(initial=0.0), op=MPI.MAX)
-    # If a pressure is condensed, the count is set on all processes: 0 on one without cells, not
-    # None. So all processes agree without communication.
+    # All processes agree without communication: if a pressure is condensed, the number is set on
+    # each of them, to 0 on a process without cells.
     has_condensed_pressure = torn.n_condensed_pressures is not None
-    is_worth_it = dense <= MAX_DENSITY * sparse or has_condensed_pressure
+    is_worth_it = dense <= MAX_MEMORY_RATIO * sparse or has_condensed_pressure
     return bool(is_worth_it and largest <= MAX_INTERFACE)

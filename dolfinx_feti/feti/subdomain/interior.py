@@ -23,7 +23,11 @@ from dolfinx_feti.feti.subdomain.factors.petsc_factor import factor_by_petsc
 from dolfinx_feti.feti.subdomain.factors.petsc_solver import FactorOptions
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
 from dolfinx_feti.feti.subdomain.failures import NumberedErrors, RemediedFactorError
-from dolfinx_feti.feti.subdomain.null_vectors import is_numerically_singular, null_vectors
+from dolfinx_feti.feti.subdomain.null_vectors import (
+    is_numerically_singular,
+    null_vectors,
+    positive_diagonal,
+)
 from dolfinx_feti.feti.subdomain.schur import SchurComplement
 from dolfinx_feti.feti.subdomain.subdomain import Subdomain
 from dolfinx_feti.runtime.arrays import Array, Mask
@@ -124,7 +128,7 @@ def _are_null_vectors(K: scipy.sparse.csr_array, Y: Array, d: Array) -> Mask:
         Y: The columns, (n_{I,i}, r).
         d: Absolute diagonal of K, (n_{I,i},), by which forces are scaled.
     """
-    root = np.sqrt(np.where(d > 0.0, d, d.mean() or 1.0))[:, None]
+    root = np.sqrt(positive_diagonal(d))[:, None]
     force = np.linalg.norm((K @ Y) / root, axis=0)
     squared = K.copy()
     squared.data **= 2

@@ -42,7 +42,7 @@ class LocalMatrix(Protocol):
         """Torn dofs of its rows, (n_i,)."""
 
     @property
-    def diagonal(self) -> Array:
+    def diagonal_of_K(self) -> Array:
         """Absolute diagonal of K_i on ``dofs``, even if the matrix is S_i, (n_i,).
 
         It is the scale on which a stiffness counts as zero. The diagonal of S_i is no such scale:
@@ -81,7 +81,7 @@ class SubdomainMatrix:
 
     Attributes:
         subdomain: The subdomain.
-        diagonal: Its absolute diagonal, (n_i,).
+        diagonal_of_K: Its absolute diagonal, (n_i,).
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class SubdomainMatrix:
         K: PETSc.Mat,
         analysed: SubdomainAnalysis,
         options: FactorOptions,
-        diagonal: Array,
+        diagonal_of_K: Array,
         work: WorkSpace,
     ) -> None:
         """Refer to the block of one subdomain in K.
@@ -98,12 +98,12 @@ class SubdomainMatrix:
             K: Local matrix of this process, (n, n).
             analysed: The subdomain, and its symbolic factor.
             options: How PETSc factors K_i, if it does.
-            diagonal: Absolute diagonal of K_i, (n_i,).
+            diagonal_of_K: Absolute diagonal of K_i, (n_i,).
             work: Work space of the factorisations; the subdomains share it.
         """
         self.subdomain = analysed.subdomain
-        self.diagonal = diagonal
-        self._symbolic = analysed.symbolic
+        self.diagonal_of_K = diagonal_of_K
+        self._symbolic = analysed.local_symbolic
         self._K = K
         self._options = options
         self._work = work

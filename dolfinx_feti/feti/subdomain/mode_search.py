@@ -28,6 +28,7 @@ from dolfinx_feti.errors import FactorError, SingularBlockError
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
 from dolfinx_feti.feti.subdomain.kernel_detection import MAX_NULL_FORCE, MAX_RIGID_FORCE
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
+from dolfinx_feti.feti.subdomain.null_vectors import positive_diagonal
 from dolfinx_feti.feti.subdomain.orthonormal import append_orthonormal, symmetric_part
 from dolfinx_feti.feti.subdomain.scaled import ScaledFactor, ScaledMatrix
 from dolfinx_feti.feti.subdomain.soft_modes import append_soft_modes, buckling_modes, soft_modes
@@ -153,18 +154,10 @@ def _regularise_with_null_vectors(K: ScaledMatrix, rigid: Array) -> RegularisedM
         FactorError: K_ρ has no factor.
         SingularBlockError: K_ρ is singular although all null vectors are in R.
     """
-    rho = float(K.diagonal.mean()) if len(K.diagonal) else 1.0
-    try:
-        # In double precision, unless K was created with ``allow_single_precision``.
-        K_ρ = RegularisedMatrix(K, rigid, rho, K.factor_for_preconditioner(rigid, rho))
-        # A factor in single precision has passed a stricter test of the same growth.
-        if K_ρ.factor.is_single_precision or not K_ρ.is_singular():
-            return K_ρ
-        K_ρ.destroy()
-    except FactorError:
-        # Some solvers stop at a zero pivot of a singular K_ρ. Any other error is raised again
-        # below, by the product or by the factorisation.
-        pass
+    rho = float(K.diagonal_of_K.mean()) if len(K.diagonal_of_K) else 1.0
+    without_null_vectors = _factor_if_regular(K, rigid, rho)
+    if without_null_vectors is not None:
+        return without_null_vectors
     null = K.null_vectors(rigid)
     R = append_orthonormal(rigid, null)
     K_ρ = RegularisedMatrix(K, R, rho, K.factor(R, rho))
@@ -175,6 +168,31 @@ def _regularise_with_null_vectors(K: ScaledMatrix, rigid: Array) -> RegularisedM
             "shapes or coefficients of very different scales cause this"
         )
     return K_ρ  # regular, or, if there are no null vectors, only badly conditioned
+
+
+def _factor_if_regular(K: ScaledMatrix, R: Array, rho: float) -> RegularisedMatrix | None:
+    """Factor K_ρ, in single precision if K allows it.
+
+    Args:
+        K: The matrix, (n_i, n_i).
+        R: Orthonormal modes, (n_i, k).
+        rho: The stiffness ρ.
+
+    Returns:
+        K_ρ; None if it is singular within the tolerances, or has no factor.
+    """
+    try:
+        factor = K.factor_for_preconditioner(R, rho)
+    except FactorError:
+        # Some solvers stop at a zero pivot of a singular K_ρ. After any other error the caller
+        # fails as well, in a product with K or in the next factorisation.
+        return None
+    K_ρ = RegularisedMatrix(K, R, rho, factor)
+    # A factor in single precision has passed a stricter test of the same growth.
+    if not factor.is_single_precision and K_ρ.is_singular():
+        K_ρ.destroy()
+        return None
+    return K_ρ
 
 
 def _append_buckling_modes(K_ρ: RegularisedMatrix) -> RegularisedMatrix:
@@ -278,7 +296,7 @@ def _is_mapped_to_rounding(K: ScaledMatrix, null: Array) -> bool:
     """
     if not null.size:
         return True
-    root = np.sqrt(np.where(K.diagonal > 0.0, K.diagonal, K.diagonal.mean()))[:, None]
+    root = np.sqrt(positive_diagonal(K.diagonal_of_K))[:, None]
     force = np.linalg.norm(K.multiply(null) / root, axis=0)  # ‖K̃ ỹ‖
     size = np.linalg.norm(root * null, axis=0)  # ‖ỹ‖
     return bool(np.all(force <= MAX_NULL_FORCE * size))

@@ -73,7 +73,7 @@ def growth(factor: Factor, d: Array) -> float:
         factor: Factor of the block K, not equilibrated.
         d: Absolute diagonal of the block, (n_i,).
     """
-    d = _positive(d)
+    d = positive_diagonal(d)
     X = np.random.default_rng(len(d)).standard_normal((len(d), PROBES))
     root = np.sqrt(d)[:, None]
     return float(np.linalg.norm(root * factor.solve(root * X)) / np.linalg.norm(X))
@@ -102,7 +102,7 @@ def null_vectors(
     Raises:
         FactorError: The shifted block has no factor, or K has NaN or Inf.
     """
-    d = _positive(d)
+    d = positive_diagonal(d)
     n = len(d)
     root = np.sqrt(d)[:, None]
     R_tilde = np.linalg.qr((np.zeros((n, 0)) if R is None else R) * root)[0]
@@ -169,6 +169,11 @@ def _singular_vectors(A: Array) -> tuple[Array, Array]:
     return values, Vt.T
 
 
-def _positive(d: Array) -> Array:
-    """Return a diagonal, (n_i,), with the mean in place of entries that are zero."""
-    return np.where(d > 0.0, d, d.mean() or 1.0)
+def positive_diagonal(d: Array) -> Array:
+    """Return an absolute diagonal, (n_i,), with the mean of all entries in place of zeros.
+
+    If all entries are zero, the result is one everywhere.
+    """
+    if not d.any():
+        return np.ones_like(d)
+    return np.where(d > 0.0, d, d.mean())

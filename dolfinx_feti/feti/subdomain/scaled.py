@@ -81,7 +81,7 @@ class ScaledMatrix:
     Attributes:
         matrix: K.
         scale: s, (n_i,); None for ones.
-        diagonal: Absolute diagonal d/s² of K̂, (n_i,).
+        diagonal_of_K: Absolute diagonal d/s² of K̂_i, even if the matrix is Ŝ_i, (n_i,).
         stiffness: Stiffness k_Γ/s² of the interface dofs, zero on other dofs, (n_i,); without the
             stiffness that a condensed pressure adds.
         allow_single_precision: Whether a factor for a preconditioner may be in single precision.
@@ -89,7 +89,7 @@ class ScaledMatrix:
 
     matrix: LocalMatrix
     scale: Array | None
-    diagonal: Array
+    diagonal_of_K: Array
     stiffness: Array
     allow_single_precision: bool
 
@@ -140,7 +140,7 @@ class ScaledMatrix:
         unscaled = self.matrix.factor_for_preconditioner(self.unscaled_forces(R), rho)
         factor = ScaledFactor(unscaled, self.scale)
         if factor.is_single_precision:
-            error = growth(unscaled, self.matrix.diagonal) * SINGLE_ROUNDING
+            error = growth(unscaled, self.matrix.diagonal_of_K) * SINGLE_ROUNDING
             if not error <= MAX_SINGLE_PRECISION_ERROR:  # or it is NaN
                 factor.destroy()
                 return self.factor(R, rho)
@@ -148,7 +148,8 @@ class ScaledMatrix:
 
     def is_singular(self, factor: ScaledFactor) -> bool:
         """Return True if the factored matrix is singular within ``null_tolerances``."""
-        return is_numerically_singular(factor.unscaled, self.matrix.diagonal, self.null_tolerances)
+        d = self.matrix.diagonal_of_K
+        return is_numerically_singular(factor.unscaled, d, self.null_tolerances)
 
     def null_vectors(self, R: Array) -> Array:
         """Return the null vectors of K̂ besides orthonormal modes R, (n_i, r); not normalised."""
@@ -156,7 +157,9 @@ class ScaledMatrix:
         def factor_shifted(B: Array, shift: Array) -> ScaledFactor:
             return self.factor(B, 1.0, shift)
 
-        return null_vectors(self.multiply, factor_shifted, self.diagonal, R, self.null_tolerances)
+        return null_vectors(
+            self.multiply, factor_shifted, self.diagonal_of_K, R, self.null_tolerances
+        )
 
 
 def _multiply_rows(scale: Array | None, X: Array) -> Array:
@@ -175,7 +178,7 @@ def scale_matrix(
         allow_single_precision: Whether a factor for a preconditioner may be in single precision.
             That of a scaled matrix may not: its modes of nearly no stiffness are below rounding.
     """
-    d = matrix.diagonal
+    d = matrix.diagonal_of_K
     positive = d[d > 0.0]
     if not len(positive) or positive.max() <= MAX_DIAGONAL_RATIO * positive.min():
         return ScaledMatrix(matrix, None, d, stiffness, allow_single_precision)

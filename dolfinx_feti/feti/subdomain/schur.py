@@ -87,15 +87,19 @@ class FormedSchurComplement(SchurComplement):
 
     Attributes:
         matrix: S_i, packed.
-        diagonal: Absolute diagonal of K_i on the interface, (n_{Γ,i},).
+        diagonal_of_K: Absolute diagonal of K_i on the interface, (n_{Γ,i},).
     """
 
     def __init__(
-        self, subdomain: Subdomain, interior_factor: Factor, matrix: PackedMatrix, diagonal: Array
+        self,
+        subdomain: Subdomain,
+        interior_factor: Factor,
+        matrix: PackedMatrix,
+        diagonal_of_K: Array,
     ) -> None:
         super().__init__(subdomain, interior_factor)
         self.matrix = matrix
-        self.diagonal = diagonal
+        self.diagonal_of_K = diagonal_of_K
 
     @property
     def dofs(self) -> Indices:

@@ -227,19 +227,19 @@ class InterfaceRows:
     Products with the blocks of each subdomain would be four for each of them.
     """
 
-    def __init__(self, K: PETSc.Mat, interface: Indices, *, symmetric: bool) -> None:
+    def __init__(self, K: PETSc.Mat, interface: Indices, *, is_symmetric: bool) -> None:
         """Copy the rows of K on Γ, (n_Γ, n), and, if K is not symmetric, its columns, (n, n_Γ).
 
         Args:
             K: Local matrix of this process, (n, n).
             interface: Γ of all subdomains, one after the other, (n_Γ,).
-            symmetric: Whether K is symmetric.
+            is_symmetric: Whether K is symmetric.
         """
         interface_set = index_set(interface)
         all_dofs = index_set(np.arange(K.getSize()[0], dtype=np.int32))
         self._K_Γ = K.createSubMatrix(interface_set, all_dofs)
         self._columns: PETSc.Mat | None = None
-        if not symmetric:
+        if not is_symmetric:
             self._columns = K.createSubMatrix(all_dofs, interface_set)
         interface_set.destroy()
         all_dofs.destroy()
@@ -298,8 +298,8 @@ def _create_applied(torn: Torn, analysis: Analysis, factors: Lifetime) -> Applie
     rows: InterfaceRows | None = None
     if analysis.has_interior_factors:
         interface = interface_dofs(analysis.subdomains)
-        symmetric = analysis.interior_options.symmetric
-        rows = InterfaceRows(torn.K, interface, symmetric=symmetric)
+        is_symmetric = analysis.interior_options.is_symmetric
+        rows = InterfaceRows(torn.K, interface, is_symmetric=is_symmetric)
     return AppliedSchurOperator(torn, blocks, rows)
 
 

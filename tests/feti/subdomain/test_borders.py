@@ -140,7 +140,7 @@ def test_fronts_take_matrices_of_their_pattern():
     for wrong in (path(np.int64), path(real=np.float32)):
         with raises(TypeError, "ctype"):
             F.factor(wrong, work)
-    with raises(ValueError, r"addend_on_last is \(3, 3\)"):
+    with raises(ValueError, r"addend_on_last has shape \(3, 3\)"):
         F.factor(K, work, np.eye(3))
     for rhs, error in ((np.ones(1), IndexError), (np.ones(3), ValueError), (wide, ValueError)):
         with raises(error, "bounds|shape"):

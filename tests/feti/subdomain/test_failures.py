@@ -120,7 +120,7 @@ def test_interior_that_only_seems_singular(torn_grid, create_dual, monkeypatch):
 # ---- MUMPS runs out of memory ---------------------------------------------------------------
 
 PREFIX = "test_local_"
-CHOICE = FactorOptions(DirectOptions(PREFIX), symmetric=True, right_hand_sides=4)
+CHOICE = FactorOptions(DirectOptions(PREFIX), is_symmetric=True, right_hand_sides=4)
 
 #: A work space that no machine has, too low a limit: INFOG(1) and the remedy.
 SHORTAGES = {

@@ -173,7 +173,7 @@ class DenseMatrix:
 
     def __init__(self, K):
         self.K = K
-        self.diagonal = np.abs(K.diagonal())
+        self.diagonal_of_K = np.abs(K.diagonal())
 
     def multiply(self, X):
         return self.K @ X

@@ -13,7 +13,7 @@ A new dense factorisation is a file with a class that has the methods of ``Facto
 
 - For a block with an interface it has to form S. If it cannot, leave these blocks to the present
   branch.
-- ``woodbury`` needs its ``last``, a dense block that is eliminated last. If it is empty,
+- ``woodbury`` needs its ``last_dofs``, a dense block that is eliminated last. If it is empty,
   ``create.factor_sparse`` falls back to ``petsc_factor`` for every block with modes R: add a branch
   there that factors K + ρ R Rᵀ in another way.
 

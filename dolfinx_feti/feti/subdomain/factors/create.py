@@ -99,7 +99,7 @@ def analyse_blocks(
         SetUpError: The analysis of a block failed; on all processes.
     """
     # With indices of 64 bits the rows of K would be copied for every factor of every block.
-    if not options.symmetric or not reads_in_place():
+    if not options.is_symmetric or not reads_in_place():
         return [None] * len(blocks)
     code = multifrontal_code(options.solver, torn.comm)
     if code is None:

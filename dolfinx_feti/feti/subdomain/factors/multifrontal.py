@@ -73,22 +73,33 @@ class FrontCode:
         return self.ffi.new(f"{kind} *", values)
 
     def require_done(self, status: int) -> None:
-        """Raise an error if the status of a C function is not ``DONE``.
+        """Raise the error of :meth:`error_of` unless the status of a C function is ``DONE``."""
+        if status != self.lib.DONE:
+            raise self.error_of(status)
 
-        Raises:
-            MemoryError: There is no memory for integers of the analysis or the factorisation.
-            FactorError: The graph or matrix is not what the code needs.
+    def error_of(self, status: int) -> Exception:
+        """Return the error of a failed C function.
+
+        Args:
+            status: What the function returned; not ``DONE``.
+
+        Returns:
+            A MemoryError if there is no memory for the integers of the analysis or the
+            factorisation; otherwise a FactorError.
         """
         if status == self.lib.NO_MEMORY:
-            raise MemoryError("no memory for the fronts of a subdomain")
+            return MemoryError("no memory for the fronts of a subdomain")
         if status == self.lib.TOO_LARGE:
-            raise FactorError("the subdomain is too large for 32-bit indices: take more subdomains")
+            return FactorError(
+                "the subdomain is too large for 32-bit indices: take more subdomains"
+            )
         if status == self.lib.INVALID:
-            raise FactorError("the graph of the subdomain, or the order of its nodes, is invalid")
+            return FactorError("the graph of the subdomain, or the order of its nodes, is invalid")
         if status == self.lib.NEW_PATTERN:
-            raise FactorError(
+            return FactorError(
                 "the pattern of the matrix has changed since it was analysed: create a new solver"
             )
+        return FactorError(f"the multifrontal code returned the unknown status {status}")
 
 
 def load_fronts(comm: MPI.Comm) -> FrontCode:
@@ -120,8 +131,8 @@ class Fronts:
         code: The compiled code.
         tree: The fronts, an ``assembly_tree *`` of C.
         ranks: Place of each interior dof in the order of elimination, (n_{I,i},).
-        last: Interior dofs that are pivots of the last front, (p,). If the interior is connected,
-            they contain a separator that cuts it in two.
+        last_dofs: Interior dofs that are pivots of the last front, (p,). If the interior is
+            connected, they contain a separator that cuts it in two.
         factor_entries: Number of entries of the factor of K_II.
         work_entries: Number of entries of the work space of :meth:`factor`.
         flops: Operations of a factorisation, for benchmarks.
@@ -153,9 +164,9 @@ class Fronts:
         """
         ptr, adjacent = graph
         if not _is_graph(ptr, adjacent, len(size)) or len(is_on_interface) != len(size):
-            code.require_done(code.lib.INVALID)  # raises the error
+            raise code.error_of(code.lib.INVALID)
         if size.sum() != len(rows):
-            code.require_done(code.lib.INVALID)
+            raise code.error_of(code.lib.INVALID)
         order = nested_dissection(ptr, adjacent, np.flatnonzero(~is_on_interface).astype(np.int32))
         graph_in_C = code.struct(
             "subdomain_graph",
@@ -177,7 +188,7 @@ class Fronts:
         self.tree = tree
         self.ranks = rank_of_dof[~is_interface_dof].copy()
         interior_dof_of_rank = np.argsort(self.ranks)  # the inverse permutation
-        self.last = interior_dof_of_rank[tree.last_front_rank :]
+        self.last_dofs = interior_dof_of_rank[tree.last_front_rank :]
         self.factor_entries = int(tree.factor_entries)
         self.work_entries = int(tree.work_entries)
         self.flops = float(tree.flops)
@@ -193,7 +204,7 @@ class Fronts:
         Args:
             K: Matrix of all subdomains of the process, (n, n).
             work: Work space.
-            addend_on_last: Added to K_II on the dofs ``last``, (p, p); None for zero.
+            addend_on_last: Added to K_II on the dofs ``last_dofs``, (p, p); None for zero.
 
         Returns:
             The factor and S; None if K_II is not positive definite.
@@ -204,11 +215,11 @@ class Fronts:
         """
         code = self.code
         n = len(self._local_index)
-        p = len(self.last)
+        p = len(self.last_dofs)
         if len(K.indptr) != n + 1 or not len(K.indices) == len(K.values) == K.indptr[-1]:
-            code.require_done(code.lib.NEW_PATTERN)
+            raise code.error_of(code.lib.NEW_PATTERN)
         if addend_on_last is not None and addend_on_last.shape != (p, p):
-            raise ValueError(f"addend_on_last is {addend_on_last.shape}, but last has {p} dofs")
+            raise ValueError(f"addend_on_last has shape {addend_on_last.shape}, not ({p}, {p})")
         values = np.empty(self.factor_entries)
         schur = np.zeros(self._n_Γ * (self._n_Γ + 1) // 2)
         work_entries = work.entries(self.work_entries)

@@ -136,7 +136,7 @@ def factor_by_petsc(
     n_border = 0 if R is None else R.shape[1]
     if R is not None and n_border:
         matrix = _bordered(matrix, R, rho)
-    matrix.setOption(PETSc.Mat.Option.SYMMETRIC, options.symmetric)
+    matrix.setOption(PETSc.Mat.Option.SYMMETRIC, options.is_symmetric)
     if is_ldlt(options):
         matrix = _upper_triangle(matrix)
     try:

@@ -63,18 +63,18 @@ class FactorOptions:
 
     Attributes:
         solver: Options of the solver.
-        symmetric: Whether the matrices are symmetric.
+        is_symmetric: Whether the matrices are symmetric.
         right_hand_sides: Number of right-hand sides that MUMPS solves for at once, ICNTL(27).
     """
 
     solver: DirectOptions
-    symmetric: bool
+    is_symmetric: bool
     right_hand_sides: int
 
 
 def is_ldlt(options: FactorOptions) -> bool:
     """Return True if MUMPS factors by L Δ Lᵀ, which reads one triangle of the matrix."""
-    return options.symmetric and options.solver.allows_ldlt
+    return options.is_symmetric and options.solver.allows_ldlt
 
 
 def factor_matrix(matrix: PETSc.Mat, options: FactorOptions) -> PETSc.PC:
@@ -96,7 +96,7 @@ def factor_matrix(matrix: PETSc.Mat, options: FactorOptions) -> PETSc.PC:
     def configure(pc: PETSc.PC, percent: int) -> None:
         pc.setOptionsPrefix(options.solver.prefix)
         pc.setOperators(matrix)
-        set_default_solver(pc, options.symmetric)
+        set_default_solver(pc, options.is_symmetric)
         pc.setFromOptions()
         set_mumps_controls(pc, percent)
         if is_mumps(pc):
@@ -176,9 +176,9 @@ def _failure_of(solver: PETSc.PC | PETSc.KSP) -> _Failure | None:
             pc.destroy()  # this reference to the PC of the KSP, on all processes together
 
 
-def set_default_solver(pc: PETSc.PC, symmetric: bool) -> None:
+def set_default_solver(pc: PETSc.PC, is_symmetric: bool) -> None:
     """Select MUMPS with L Δ Lᵀ or L U; options that are read later may select another solver."""
-    pc.setType(PETSc.PC.Type.CHOLESKY if symmetric else PETSc.PC.Type.LU)
+    pc.setType(PETSc.PC.Type.CHOLESKY if is_symmetric else PETSc.PC.Type.LU)
     pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
 
 

@@ -89,7 +89,7 @@ class SymbolicFactor(Protocol):
     """
 
     @property
-    def last(self) -> Numbers:
+    def last_dofs(self) -> Numbers:
         """Interior dofs that are eliminated last, (p,), by their places in the interior.
 
         They form one dense block of the factor: adding a dense matrix to K_II on these dofs adds no
@@ -104,7 +104,7 @@ class SymbolicFactor(Protocol):
         Args:
             K: Matrix of all subdomains of the process, (n, n).
             work: Work space.
-            addend_on_last: Added to K_II on the dofs ``last``, (p, p); None for zero.
+            addend_on_last: Added to K_II on the dofs ``last_dofs``, (p, p); None for zero.
 
         Returns:
             The factor and S; None if K_II is not positive definite.

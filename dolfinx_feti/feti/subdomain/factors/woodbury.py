@@ -47,21 +47,21 @@ class Correction:
 
     Attributes:
         R: Modes, (n_i, k).
-        last: Dofs that are eliminated last, (p,).
+        last_dofs: Dofs that are eliminated last, (p,).
         Q: Orthonormal basis of R on them, (p, k).
         Z: K_Q⁻¹ (R, Q), (n_i, 2 k).
         C: (Λ⁻¹ + Vᵀ Z)⁻¹, (2 k, 2 k).
     """
 
     R: Array
-    last: Numbers
+    last_dofs: Numbers
     Q: Array
     Z: Array
     C: Array
 
     def apply(self, z: Array) -> Array:
         """Return K_ρ⁻¹ y = z − Z C Vᵀ z for z = K_Q⁻¹ y, (n_i,) or (n_i, r)."""
-        overlap = np.concatenate([self.R.T @ z, self.Q.T @ z[self.last]])  # Vᵀ z
+        overlap = np.concatenate([self.R.T @ z, self.Q.T @ z[self.last_dofs]])  # Vᵀ z
         return np.asarray(z - self.Z @ (self.C @ overlap))
 
     def memory(self) -> float:
@@ -75,17 +75,21 @@ class WoodburyFactor:
     Attributes:
         inertia: Number of negative eigenvalues of K_ρ; no zero pivots.
         is_single_precision: False.
-        last: Dofs that are eliminated last, (p,), for tests.
+        last_dofs: Dofs that are eliminated last, (p,), for tests.
     """
 
     is_single_precision = False
 
     def __init__(
-        self, factor: Factor, last: Numbers, correction: Correction | None, inertia: FactorInertia
+        self,
+        factor: Factor,
+        last_dofs: Numbers,
+        correction: Correction | None,
+        inertia: FactorInertia,
     ) -> None:
         """Own the factor of K_Q; the correction is None without modes, if K_ρ = K_Q = K."""
         self.inertia = inertia
-        self.last = last
+        self.last_dofs = last_dofs
         self._factor: Factor | None = factor
         self._correction = correction
 
@@ -132,14 +136,14 @@ def factor_by_woodbury(
         FactorError: K has an entry outside of the pattern.
         MemoryError: Memory ran out.
     """
-    last = symbolic.last
+    last_dofs = symbolic.last_dofs
     k = R.shape[1]
     if k == 0:
         eliminated = symbolic.factor(K, work)
         if eliminated is None:
             return None
-        return WoodburyFactor(eliminated.factor, last, None, eliminated.factor.inertia)
-    Q = _basis_on_last(R[last])
+        return WoodburyFactor(eliminated.factor, last_dofs, None, eliminated.factor.inertia)
+    Q = _basis_on_last(R[last_dofs])
     if Q is None:
         return None
     eliminated = symbolic.factor(K, work, rho * Q @ Q.T)
@@ -148,7 +152,7 @@ def factor_by_woodbury(
     factor = eliminated.factor
     V = np.zeros((len(R), 2 * k), order="F")
     V[:, :k] = R
-    V[last, k:] = Q
+    V[last_dofs, k:] = Q
     Z = factor.solve(V)  # K_Q⁻¹ V
     if not np.isfinite(Z).all():
         return None
@@ -159,7 +163,7 @@ def factor_by_woodbury(
         return None
     positive = np.count_nonzero(np.linalg.eigvalsh(C_inverse) > 0.0)  # n₊(C⁻¹)
     inertia = FactorInertia(int(positive) - k, 0)  # n₋(K_ρ) = n₊(C⁻¹) − k
-    return WoodburyFactor(factor, last, Correction(R, last, Q, Z, np.asarray(C)), inertia)
+    return WoodburyFactor(factor, last_dofs, Correction(R, last_dofs, Q, Z, np.asarray(C)), inertia)
 
 
 def _basis_on_last(R: Array) -> Array | None:

@@ -211,7 +211,7 @@ def test_is_the_inverse_of_the_regularised_block(change, kind, factored):
 def test_inertia_of_an_indefinite_block_with_definite_K_Q(factored):
     """K_Q is positive definite and K_ρ is not: the correction has the inertia of K_ρ."""
     K = 0.01 * elastic(SHAPE)[0] + np.eye(120 * 3)
-    last = factored(K, bs=3).last
+    last = factored(K, bs=3).last_dofs
     others = np.setdiff1d(np.arange(len(K)), last)[: len(last)]
     K[last, last] -= 1.5
     R = np.zeros((len(K), len(last)))
@@ -241,7 +241,9 @@ def test_refuses_a_singular_correction(image):
     """Λ⁻¹ + Vᵀ Z is singular, or Inf, or NaN, with V = I and Λ = diag(1, −1)."""
     R = np.array([[1.0], [1.0]]) * np.sqrt(0.5)
     front = SimpleNamespace(solve=lambda V: np.linalg.solve(V.T, np.diag(image)))
-    fronts = SimpleNamespace(last=np.array([1]), factor=lambda *_: SimpleNamespace(factor=front))
+    fronts = SimpleNamespace(
+        last_dofs=np.array([1]), factor=lambda *_: SimpleNamespace(factor=front)
+    )
     agree(factor_by_woodbury(fronts, None, R, 1.0, None) is None)
 
 

@@ -98,7 +98,7 @@ def test_one_dense_front(pivots):
     Q = np.linalg.qr(np.random.default_rng(n).standard_normal((n, n)))[0]
     K = (Q * np.geomspace(1.0, 1e8, n)) @ Q.T
     fronts = check(scipy.sparse.csr_array(0.5 * (K + K.T)), np.arange(pivots, n, dtype=np.int32), 1)
-    agree(fronts.tree.front_count == 1 and len(fronts.last) == pivots)
+    agree(fronts.tree.front_count == 1 and len(fronts.last_dofs) == pivots)
 
 
 @pytest.mark.parametrize("bs", [1, 2, 3])
