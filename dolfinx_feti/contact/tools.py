@@ -46,11 +46,12 @@ def half_space(normal: Vector, point: Vector | None = None, *, offset: float | E
         ValueError: The normal is zero, or a number is not finite.
     """
     require_finite(offset=offset)
-    n = _direction("normal", normal)
-    p = _point("point", point)
+    _check_direction("normal", normal)
+    _check_point("point", point)
 
     def distance(x: Any) -> Any:
-        return ufl.dot(n(x), x - p(x)) - offset
+        n = _unit_vector("normal", normal, x)
+        return ufl.dot(n, x - _vector("point", point, x)) - offset
 
     return distance
 
@@ -67,10 +68,11 @@ def sphere(radius: float | Expr, centre: Vector | None = None, *, inside: bool =
         ValueError: The radius is not positive, or a number is not finite.
     """
     require_positive(radius=radius)
-    c = _point("centre", centre)
+    _check_point("centre", centre)
 
     def distance(x: Any) -> Any:
-        return _sign(inside) * (_length(x - c(x)) - radius)
+        outside = _length(x - _vector("centre", centre, x)) - radius
+        return -outside if inside else outside
 
     return distance
 
@@ -90,13 +92,14 @@ def cylinder(
         ValueError: The axis is zero, the radius not positive, or a number is not finite.
     """
     require_positive(radius=radius)
-    a = _direction("axis", axis)
-    p = _point("point", point)
+    _check_direction("axis", axis)
+    _check_point("point", point)
 
     def distance(x: Any) -> Any:
-        d = x - p(x)
-        across = d - ufl.dot(d, a(x)) * a(x)
-        return _sign(inside) * (_length(across) - radius)
+        a = _unit_vector("axis", axis, x)
+        d = x - _vector("point", point, x)
+        outside = _length(d - ufl.dot(d, a) * a) - radius
+        return -outside if inside else outside
 
     return distance
 
@@ -122,14 +125,16 @@ def torus(
         ValueError: The axis is zero, a radius not positive, or a number is not finite.
     """
     require_positive(radius=radius, tube=tube)
-    a = _direction("axis", axis)
-    c = _point("centre", centre)
+    _check_direction("axis", axis)
+    _check_point("centre", centre)
 
     def distance(x: Any) -> Any:
-        d = x - c(x)
-        along = ufl.dot(d, a(x))
-        across = _length(d - along * a(x)) - radius
-        return _sign(inside) * (ufl.sqrt(across**2 + along**2) - tube)
+        a = _unit_vector("axis", axis, x)
+        d = x - _vector("centre", centre, x)
+        along = ufl.dot(d, a)
+        across = _length(d - along * a) - radius
+        outside = ufl.sqrt(across**2 + along**2) - tube
+        return -outside if inside else outside
 
     return distance
 
@@ -149,52 +154,56 @@ def union(*tools: Tool) -> Tool:
     return distance
 
 
-def _sign(inside: bool) -> float:
-    """Return −1 for a body inside a hollow tool, else 1."""
-    return -1.0 if inside else 1.0
-
-
 def _length(d: Any) -> Any:
     """Return ‖d‖."""
     return ufl.sqrt(ufl.dot(d, d))
 
 
-def _direction(name: str, direction: Vector) -> Callable[[Any], Any]:
-    """Return a function of the position x that returns a unit vector with as many components."""
-    vector = _point(name, direction)
-    if not isinstance(direction, Expr):
-        length = math.hypot(*map(float, direction))
-        if length == 0.0:
-            raise ValueError(f"{name} = {tuple(direction)}: give a vector that is not zero.")
-        unit = tuple(float(d) / length for d in direction)
-        return _point(name, unit)
-
-    def of(x: Any) -> Any:
-        d = vector(x)
-        return d / _length(d)
-
-    return of
+def _check_point(name: str, point: Vector | None) -> None:
+    """Raise a ValueError if a number is not finite; what is UFL's is not checked."""
+    if point is None or isinstance(point, Expr):
+        return
+    numbers = np.asarray(point, dtype=float)
+    if numbers.ndim != 1 or not np.all(np.isfinite(numbers)):
+        raise ValueError(f"{name} = {point}: give finite numbers, one for each coordinate.")
 
 
-def _point(name: str, point: Vector | None) -> Callable[[Any], Any]:
-    """Return a function of the position x that returns a point with as many components.
+def _check_direction(name: str, direction: Vector) -> None:
+    """Raise a ValueError if a direction is zero, or a number is not finite."""
+    _check_point(name, direction)
+    if not isinstance(direction, Expr) and _norm(direction) == 0.0:
+        raise ValueError(f"{name} = {tuple(direction)}: give a vector that is not zero.")
+
+
+def _norm(direction: Sequence[float]) -> float:
+    """Return the length of a vector of numbers."""
+    return math.hypot(*map(float, direction))
+
+
+def _vector(name: str, vector: Vector | None, x: Any) -> Any:
+    """Return a vector of UFL with as many components as the position x; zero for None.
 
     Raises:
-        ValueError: A number is not finite.
+        ValueError: It has more or fewer components.
     """
-    if point is not None and not isinstance(point, Expr):
-        numbers = np.asarray(point, dtype=float)
-        if numbers.ndim != 1 or not np.all(np.isfinite(numbers)):
-            raise ValueError(f"{name} = {point}: give finite numbers, one for each coordinate.")
+    if vector is None:
+        return ufl.zero(len(x))
+    if len(vector) != len(x):
+        raise ValueError(
+            f"{name} = {vector} has {len(vector)} components, but the mesh has {len(x)} "
+            "coordinates: give as many; a cylinder across the plane is a sphere there."
+        )
+    return vector if isinstance(vector, Expr) else ufl.as_vector([float(c) for c in vector])
 
-    def of(x: Any) -> Any:
-        if point is None:
-            return ufl.zero(len(x))
-        if len(point) != len(x):
-            raise ValueError(
-                f"{name} = {point} has {len(point)} components, but the mesh has {len(x)} "
-                "coordinates: give as many; a cylinder across the plane is a sphere there."
-            )
-        return point if isinstance(point, Expr) else ufl.as_vector([float(c) for c in point])
 
-    return of
+def _unit_vector(name: str, direction: Vector, x: Any) -> Any:
+    """Return a unit vector of UFL with as many components as the position x.
+
+    Raises:
+        ValueError: The direction has more or fewer components.
+    """
+    d = _vector(name, direction, x)
+    if isinstance(direction, Expr):
+        return d / _length(d)
+    length = _norm(direction)
+    return ufl.as_vector([float(component) / length for component in direction])

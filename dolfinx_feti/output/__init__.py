@@ -3,11 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Output: recovered stresses, values at points, fields for ParaView, and pictures.
 
-In the order of the data: patches, stress, evaluation, points, fields, surfaces, pictures.
+In the order of the data: patches, stress, evaluation, file_fields, point_cloud, fields,
+surfaces, pictures.
 """
 
-from dolfinx_feti.output.evaluation import evaluate
-from dolfinx_feti.output.fields import FieldWriter, cell_values
+from dolfinx_feti.output.evaluation import cell_values, evaluate
+from dolfinx_feti.output.fields import FieldWriter
 from dolfinx_feti.output.patches import Patches, create_patches
 from dolfinx_feti.output.stress import balanced_stress, recovered_field
 from dolfinx_feti.runtime.folders import writable_folder

@@ -1,16 +1,17 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Values of fields and UFL expressions, such as a stress, at points of the reference body.
+r"""Values of fields and UFL expressions, such as a stress, at points and at centroids of cells.
 
-A point X lies in one cell, or in several on their common facet, edge or vertex. Its value is the
-mean over these cells, and so independent of the numbering of cells and of the processes.
-In a cell, the expression is evaluated at the reference coordinates ξ with x(ξ) = X, without any
-interpolation.
+A point X of the reference body lies in one cell, or in several on their common facet, edge or
+vertex. Its value is the mean over these cells, and so independent of the numbering of cells and of
+the processes. In a cell, the expression is evaluated at the reference coordinates ξ with x(ξ) = X,
+without any interpolation.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -24,27 +25,29 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.quadrature import quadrature_rule
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Integers, Mask
 from dolfinx_feti.runtime.collective import on_all, total_of
 
-__all__ = ["evaluate", "mesh_of"]
+__all__ = ["CellEvaluator", "cell_values", "evaluate", "mesh_of"]
 
 #: Share of the extent of the mesh by which boxes around cells are enlarged: rounding of the points
 #: is 1e-16 of it. A larger share adds a few candidate cells, and changes no result.
 PADDING = 1e-10
 
-#: Reference coordinate by which a point may lie outside of a cell. Points that a user computes have
-#: rounding errors of 1e-15; from 1e-7 on, neighbouring cells contribute to the mean.
-OUTSIDE = 1e-10
+#: Reference coordinate by which a point may lie outside of a cell, and of the last step of Newton's
+#: method. Points that a user computes have rounding errors of 1e-15; from 1e-7 on, neighbouring
+#: cells contribute to the mean.
+COORDINATE_ATOL = 1e-10
 
-#: Steps of Newton's method for reference coordinates: one for affine cells, four to six for curved
-#: ones and hexahedra. Points that have not converged are outside of a distorted cell.
-STEPS = 25
+#: Steps of Newton's method for reference coordinates, at most. Affine cells take one, curved ones
+#: and hexahedra four to six. Points that have not converged are outside of a distorted cell.
+MAX_STEPS = 25
 
 #: Points in one compiled expression, which is evaluated at all of them in each of their cells: 64²
 #: evaluations take less time than the compilation of a second expression.
-CHUNK = 64
+POINTS_PER_EXPRESSION = 64
 
 
 def evaluate(expression: Expr, points: npt.ArrayLike) -> Array:
@@ -72,19 +75,20 @@ def evaluate(expression: Expr, points: npt.ArrayLike) -> Array:
     """
     mesh = mesh_of(expression)
     X, is_single = on_all(lambda: _checked_points(points, mesh.geometry.dim), mesh.comm)
-    which, cells, ξ = on_all(lambda: _cells_with(mesh, X), mesh.comm)
-    count = total_of(np.bincount(which, minlength=len(X)).astype(np.float64), mesh.comm)
+    located = on_all(lambda: _locate(mesh, X), mesh.comm)
+    cells_of_point = np.bincount(located.point, minlength=len(X)).astype(np.float64)
+    count = total_of(cells_of_point, mesh.comm)
     outside = X[count == 0.0]
     if len(outside):
-        named = ", ".join(str(x.tolist()) for x in outside[:3])
+        examples = ", ".join(str(x.tolist()) for x in outside[:3])
         raise ValueError(
-            f"{len(outside)} of {len(X)} points are in no cell of the mesh, such as {named}: give "
-            "points of the reference body. On a curved surface, which straight cells cut off, move "
-            "them inwards."
+            f"{len(outside)} of {len(X)} points are in no cell of the mesh, such as {examples}: "
+            "give points of the reference body. On a curved surface, which straight cells cut off, "
+            "move them inwards."
         )
-    values_in_cells = on_all(lambda: _values(expression, mesh, cells, ξ), mesh.comm)
+    values_in_cells = on_all(lambda: _values(expression, mesh, located), mesh.comm)
     sums = np.zeros((len(X), values_in_cells.shape[1]))
-    np.add.at(sums, which, values_in_cells)
+    np.add.at(sums, located.point, values_in_cells)
     means = total_of(sums, mesh.comm) / count[:, None]
     values = means.reshape(len(X), *expression.ufl_shape)
     return values[0] if is_single else values
@@ -118,13 +122,23 @@ def _checked_points(points: npt.ArrayLike, gdim: int) -> tuple[Array, bool]:
     return X.reshape(-1, gdim), X.ndim == 1
 
 
-def _cells_with(mesh: dolfinx.mesh.Mesh, X: Array) -> tuple[Integers, Integers, Array]:
-    """Find the owned cells that contain points. Not collective.
+@dataclass(frozen=True, slots=True)
+class _Located:
+    """Pairs of a point and an owned cell that contains it.
 
-    Returns:
-        Pairs of a point and a cell, (pairs,) each, and the point's reference coordinates in the
-        cell, (pairs, tdim).
+    Attributes:
+        point: Number of the point, (pairs,).
+        cell: The cell, (pairs,).
+        ξ: Reference coordinates of the point in the cell, (pairs, tdim).
     """
+
+    point: Integers
+    cell: Integers
+    ξ: Array
+
+
+def _locate(mesh: dolfinx.mesh.Mesh, X: Array) -> _Located:
+    """Find the owned cells that contain points, (n, gdim). Not collective."""
     tdim = mesh.topology.dim
     n_cells = mesh.topology.index_map(tdim).size_local
     padding = PADDING * float(np.ptp(mesh.geometry.x, axis=0).max()) if n_cells else 0.0
@@ -133,11 +147,13 @@ def _cells_with(mesh: dolfinx.mesh.Mesh, X: Array) -> tuple[Integers, Integers, 
     )
     in_space = np.zeros((len(X), 3))
     in_space[:, : X.shape[1]] = X
-    found = dolfinx.geometry.compute_collisions_points(tree, in_space)
-    cells = np.asarray(found.array, dtype=np.int64)
-    which = np.repeat(np.arange(len(X)), np.diff(found.offsets))
-    ξ, is_inside = _reference_coordinates(mesh, cells, X[which])
-    return which[is_inside], cells[is_inside], ξ[is_inside]
+    candidates = dolfinx.geometry.compute_collisions_points(tree, in_space)
+    cell = np.asarray(candidates.array, dtype=np.int64)
+    point = np.repeat(np.arange(len(X)), np.diff(candidates.offsets))
+    if not len(cell):
+        return _Located(point, cell, np.zeros((0, tdim)))
+    ξ, is_inside = _reference_coordinates(mesh, cell, X[point])
+    return _Located(point[is_inside], cell[is_inside], ξ[is_inside])
 
 
 def _reference_coordinates(
@@ -147,7 +163,7 @@ def _reference_coordinates(
 
     Args:
         mesh: The mesh.
-        cells: A cell for each point, (n,).
+        cells: A cell for each point, (n,), with n ≥ 1.
         X: Points, (n, gdim).
 
     Returns:
@@ -160,30 +176,76 @@ def _reference_coordinates(
     vertices = np.asarray(basix.geometry(cell_type), dtype=np.float64)
     ξ = np.tile(vertices.mean(axis=0), (len(X), 1))
     step = np.full_like(ξ, np.inf)
-    for _ in range(STEPS if len(X) else 0):
+    for _ in range(MAX_STEPS):
         φ, *gradients = np.asarray(scalar.tabulate(1, ξ))  # (n, nodes), and so for each direction
         x = np.einsum("na,nad->nd", φ, nodes)
         jacobian = np.einsum("jna,nad->ndj", np.array(gradients), nodes)  # ∂x/∂ξ
         step = np.einsum("njd,nd->nj", np.linalg.pinv(jacobian), X - x)
         ξ = np.clip(ξ + step, -1.0, 2.0)  # far outside, the map of a curved cell may be singular
-        if np.abs(step).max() <= OUTSIDE:
+        if np.abs(step).max() <= COORDINATE_ATOL:
             break
     normals = np.asarray(basix.cell.facet_outward_normals(cell_type), dtype=np.float64)
     corners = np.array([vertices[facet[0]] for facet in basix.topology(cell_type)[-2]])
     heights = np.einsum("nfj,fj->nf", ξ[:, None, :] - corners, normals)
-    is_inside = (heights <= OUTSIDE).all(axis=1) & (np.abs(step) <= OUTSIDE).all(axis=1)
+    is_inside = (heights <= COORDINATE_ATOL).all(axis=1) & (np.abs(step) <= COORDINATE_ATOL).all(
+        axis=1
+    )
     return ξ, is_inside
 
 
-def _values(expression: Expr, mesh: dolfinx.mesh.Mesh, cells: Integers, ξ: Array) -> Array:
-    """Return the values in cells, (n,), at a reference point in each, (n, tdim) → (n, size)."""
+def _values(expression: Expr, mesh: dolfinx.mesh.Mesh, located: _Located) -> Array:
+    """Return the values of an expression at points in cells, (pairs, size)."""
     size = int(np.prod(expression.ufl_shape, dtype=np.int64))
-    values = np.zeros((len(cells), size))
-    for first in range(0, len(cells), CHUNK):
-        part = slice(first, first + CHUNK)
-        at = ξ[part]
-        compiled = Compiler(MPI.COMM_SELF).expression(expression, at)
-        all_values = compiled.eval(mesh, cells[part].astype(np.int32))
-        by_point = np.asarray(all_values).reshape(len(at), len(at), size)  # (cells, points, size)
-        values[part] = by_point[np.arange(len(at)), np.arange(len(at))]
+    values = np.zeros((len(located.cell), size))
+    for first in range(0, len(values), POINTS_PER_EXPRESSION):
+        chunk = slice(first, first + POINTS_PER_EXPRESSION)
+        ξ = located.ξ[chunk]
+        compiled = Compiler(MPI.COMM_SELF).expression(expression, ξ)
+        at_all_points = compiled.eval(mesh, located.cell[chunk].astype(np.int32))
+        table = np.asarray(at_all_points).reshape(len(ξ), len(ξ), size)  # (cells, points, size)
+        pair = np.arange(len(ξ))
+        values[chunk] = table[pair, pair]  # each cell at its own point
     return values
+
+
+class CellEvaluator:
+    """Evaluation of an expression at the same reference points of all owned cells."""
+
+    def __init__(self, expression: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> None:
+        """Compile the expression. Collective.
+
+        Args:
+            expression: The Function or expression, or a number.
+            mesh: The mesh.
+            points: Points of the reference cell, (points, tdim).
+        """
+        on_mesh = dolfinx.fem.Constant(mesh, np.float64(1.0)) * expression  # a number has no mesh
+        n_cells = mesh.topology.index_map(mesh.topology.dim).size_local
+        self._compiled = Compiler(mesh.comm).expression(on_mesh, points)
+        self._mesh = mesh
+        self._cells = np.arange(n_cells, dtype=np.int32)
+        self._n_points = len(points)
+        self._size = int(np.prod(expression.ufl_shape))
+
+    def values(self) -> Array:
+        """Return the present values, (n_cells, points, components)."""
+        shape = (len(self._cells), self._n_points, self._size)
+        if not len(self._cells):
+            return np.zeros(shape)
+        return np.asarray(self._compiled.eval(self._mesh, self._cells)).reshape(shape)
+
+
+def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> Array:
+    """Return a scalar or vector at the centroids of the owned cells, (n_cells, …). Collective.
+
+    For data at quadrature points it is their mean.
+    """
+    rule = quadrature_rule(expression)
+    if rule is None:
+        cell = getattr(basix.CellType, mesh.topology.cell_name())
+        centroid = np.asarray(basix.geometry(cell)).mean(axis=0, keepdims=True)
+        rule = (centroid, np.ones(1))
+    points, weights = rule
+    values = CellEvaluator(expression, mesh, points).values()
+    means = np.tensordot(values, weights / weights.sum(), axes=(1, 0))
+    return np.asarray(means).reshape(len(values), *expression.ufl_shape)

@@ -13,7 +13,7 @@ mesh of vertices are written at points.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -28,17 +28,17 @@ import ufl
 from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
-from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.quadrature import quadrature_rule, same_points
+from dolfinx_feti.fem.quadrature import quadrature_rule
 from dolfinx_feti.mechanics.values import require_sequence
-from dolfinx_feti.output.points import PointCloud, projection
-from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.output.file_fields import FieldCopy, QuadratureFields, VertexFields
+from dolfinx_feti.output.point_cloud import PointCloud
 from dolfinx_feti.runtime.collective import error_message, on_all
-from dolfinx_feti.runtime.compat import geometry_degree, geometry_dofmap, interpolation_points
+from dolfinx_feti.runtime.compat import geometry_degree
 from dolfinx_feti.runtime.folders import try_to_write, writable_folder
 
-__all__ = ["FieldWriter", "cell_values"]
+__all__ = ["FieldWriter"]
 
+#: Suffix of the file or folder of each format.
 SUFFIXES = {"vtx": ".bp", "xdmf": ".xdmf"}
 
 #: Cells of VTX files.
@@ -95,21 +95,21 @@ class FieldWriter:
             )
         if quadrature not in ("project", "points"):
             raise ValueError(f"quadrature={quadrature!r}: choose 'project' or 'points'.")
-        self._mesh = mesh = functions[0].function_space.mesh
+        mesh = functions[0].function_space.mesh
+        self._mesh = mesh
         self._kind = _checked_kind(kind, mesh)
-        self._updates: list[Callable[[], object]] = []
-        self._copies: list[dolfinx.fem.Function] = []
-        self._at_points: dict[str, Callable[[], Array]] = {}  # name → values, (n, k)
-        self._x: Callable[[], Array] | None = None  # coordinates of the points, (n, 3)
-        self._rule: Array | None = None
-        self._meshes = 0
+        self._copies: list[FieldCopy] = []
+        self._quadrature_fields: QuadratureFields | None = None
+        self._vertex_fields: VertexFields | None = None
         for name, field in fields:
             self._add(name, field, quadrature)
         self.path = _writable_place(Path(path), self._kind, mesh.comm)
         self.points: Path | None = None
         self._file: dolfinx.io.VTXWriter | dolfinx.io.XDMFFile | None = None
         self._cloud: PointCloud | None = None
-        if self._at_points:
+        self._meshes_written = 0
+        self._point_fields = self._quadrature_fields or self._vertex_fields
+        if self._point_fields is not None:
             place = self.path.with_name(f"{Path(path).name}_points.xdmf")
             for file in (place, place.with_suffix(".bin")):
                 try_to_write(_append_nothing, file, "file", mesh.comm)
@@ -118,7 +118,8 @@ class FieldWriter:
         if not self._copies:
             self.path = self.points or self.path
         elif self._kind == "vtx":
-            self._file = dolfinx.io.VTXWriter(mesh.comm, self.path, self._copies)
+            written = [copy.function for copy in self._copies]
+            self._file = dolfinx.io.VTXWriter(mesh.comm, self.path, written)
         else:
             self._file = dolfinx.io.XDMFFile(mesh.comm, self.path, "w")
             self._write_mesh(self._file)
@@ -127,21 +128,20 @@ class FieldWriter:
         """Write the current values at a time or load, which orders the steps. Collective."""
         if not math.isfinite(t):
             raise ValueError(f"t={t}: give a finite time or load.")
-        for update in self._updates:
-            update()
+        for copy in self._copies:
+            copy.update()
         if isinstance(self._file, dolfinx.io.XDMFFile):
-            has_moved = not np.array_equal(self._nodes, self._mesh.geometry.x)
+            has_moved = not np.array_equal(self._written_nodes, self._mesh.geometry.x)
             if self._mesh.comm.allreduce(has_moved, op=MPI.LOR):
                 self._write_mesh(self._file)
-            grid = f"/Xdmf/Domain/Grid[@GridType='Uniform'][{self._meshes}]"
+            grid = f"/Xdmf/Domain/Grid[@GridType='Uniform'][{self._meshes_written}]"
             for copy in self._copies:
-                self._file.write_function(copy, t, grid)
+                self._file.write_function(copy.function, t, grid)
         elif self._file is not None:
             self._file.write(t)
-        if self._cloud is not None and self._x is not None:
-            x = self._x()
-            values = {name: value().reshape(len(x), -1) for name, value in self._at_points.items()}
-            self._cloud.write(float(t), x, values)
+        if self._cloud is not None and self._point_fields is not None:
+            points = self._point_fields.coordinates()
+            self._cloud.write(float(t), points, self._point_fields.values())
 
     def close(self) -> None:
         """Close the files. Collective."""
@@ -160,13 +160,13 @@ class FieldWriter:
     def _write_mesh(self, file: dolfinx.io.XDMFFile) -> None:
         """Write the mesh at its current position, each time under a different name."""
         mesh = self._mesh
-        self._meshes = self._meshes + 1
+        self._meshes_written += 1
         name = mesh.name
-        if self._meshes > 1:
-            mesh.name = f"{name}_{self._meshes}"
+        if self._meshes_written > 1:
+            mesh.name = f"{name}_{self._meshes_written}"
         file.write_mesh(mesh)
         mesh.name = name
-        self._nodes = mesh.geometry.x.copy()
+        self._written_nodes = mesh.geometry.x.copy()
 
     def _add(self, name: str, field: dolfinx.fem.Function | Expr, quadrature: str) -> None:
         """Choose how a field is written, and evaluate it once. Collective.
@@ -184,79 +184,30 @@ class FieldWriter:
             _check_field(field, mesh)
             rule = on_all(lambda: quadrature_rule(field), mesh.comm)
             if mesh.topology.dim == 0:
-                self._add_at_vertices(name, field)
+                if self._vertex_fields is None:
+                    self._vertex_fields = VertexFields(mesh)
+                self._vertex_fields.add(name, field)
             elif rule is not None and quadrature == "points":
-                self._add_at_points(name, field, rule[0])
+                points, _ = rule
+                if self._quadrature_fields is None:
+                    self._quadrature_fields = QuadratureFields(mesh, points)
+                self._quadrature_fields.add(name, field, points)
             else:
-                is_continuous = isinstance(field, dolfinx.fem.Function) and _is_continuous(field)
-                degree = geometry_degree(mesh) if self._kind == "vtx" or is_continuous else 0
-                family = "Lagrange" if is_continuous and self._kind == "xdmf" else "DG"
-                space = dolfinx.fem.functionspace(mesh, (family, degree, field.ufl_shape))
-                copy = dolfinx.fem.Function(space, name=name)
-                update = _updater(field, copy, rule)
-                update()  # raises errors now, not at the first step
+                copy = FieldCopy(name, field, self._space_of_copy(field), rule)
+                copy.update()  # raises errors now, not at the first step
                 self._copies.append(copy)
-                self._updates.append(update)
         except (NotImplementedError, RuntimeError, TypeError, ValueError) as error:
             raise ValueError(
                 f"The field {name!r} cannot be written: {error_message(error)}"
             ) from error
 
-    def _add_at_vertices(self, name: str, field: dolfinx.fem.Function | Expr) -> None:
-        """Add the values of a function on a mesh of vertices."""
-        if not isinstance(field, dolfinx.fem.Function):
-            raise ValueError("it is an expression on a mesh of points, where only functions live.")
-        mesh = self._mesh
-        V = field.function_space
-        n = mesh.topology.index_map(0).size_local
-        nodes = geometry_dofmap(mesh)[:n, 0]
-        dofs = V.dofmap.list[:n, 0]
-
-        def coordinates() -> Array:
-            return np.asarray(mesh.geometry.x[nodes], dtype=np.float64)
-
-        def values() -> Array:
-            return np.asarray(field.x.array.reshape(-1, V.dofmap.bs)[dofs])
-
-        self._x = coordinates
-        self._at_points[name] = values
-
-    def _add_at_points(self, name: str, field: Expr, points: Array) -> None:
-        """Add the values at quadrature points, which are the same for all fields of the file.
-
-        Args:
-            name: Name of the field.
-            field: The field.
-            points: The points in the reference cell, (points, tdim).
-        """
-        mesh = self._mesh
-        gdim = self._mesh.geometry.dim
-        if self._rule is None:
-            evaluate_x = _evaluator(ufl.SpatialCoordinate(mesh), mesh, points)
-
-            def coordinates() -> Array:
-                x = evaluate_x().reshape(-1, gdim)
-                return np.pad(x, ((0, 0), (0, 3 - gdim)))  # zero out of the plane
-
-            self._x = coordinates
-            self._rule = points
-        elif not same_points(self._rule, points):
-            raise ValueError("its quadrature points are others than those of the fields before it.")
-        self._at_points[name] = _evaluator(field, mesh, points)
-
-
-def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> Array:
-    """Return a scalar or vector at the centroids of the owned cells, (n_cells, …). Collective.
-
-    For data at quadrature points it is their mean.
-    """
-    rule = quadrature_rule(expression)
-    cell = getattr(basix.CellType, mesh.topology.cell_name())
-    points = np.asarray(basix.geometry(cell)).mean(axis=0, keepdims=True)
-    points, weights = (points, np.ones(1)) if rule is None else rule
-    values = _evaluator(expression, mesh, points)()
-    means = np.tensordot(values, weights / weights.sum(), axes=(1, 0))
-    return np.asarray(means).reshape(len(values), *expression.ufl_shape)
+    def _space_of_copy(self, field: dolfinx.fem.Function | Expr) -> dolfinx.fem.FunctionSpace:
+        """Return the space in which a field is written. Collective."""
+        is_continuous = isinstance(field, dolfinx.fem.Function) and _is_continuous(field)
+        has_nodes = self._kind == "vtx" or is_continuous
+        degree = geometry_degree(self._mesh) if has_nodes else 0
+        family = "Lagrange" if is_continuous and self._kind == "xdmf" else "DG"
+        return dolfinx.fem.functionspace(self._mesh, (family, degree, field.ufl_shape))
 
 
 def _checked_kind(kind: str | None, mesh: dolfinx.mesh.Mesh) -> str:
@@ -293,45 +244,6 @@ def _is_continuous(f: dolfinx.fem.Function) -> bool:
     """Return True if a function is continuous across facets."""
     space = f.function_space.ufl_element().basix_sobolev_space
     return space in (basix.SobolevSpace.H1, basix.SobolevSpace.H2, basix.SobolevSpace.H3)
-
-
-def _evaluator(field: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> Callable[[], Array]:
-    """Return a function that evaluates a field in the owned cells, (cells, points, components)."""
-    on_mesh = dolfinx.fem.Constant(mesh, np.float64(1.0)) * field  # a number knows no mesh
-    compiled = Compiler(mesh.comm).expression(on_mesh, points)
-    cells = np.arange(mesh.topology.index_map(mesh.topology.dim).size_local, dtype=np.int32)
-
-    def values() -> Array:
-        if not len(cells):
-            return np.zeros((0, len(points), int(np.prod(field.ufl_shape))))
-        return np.asarray(compiled.eval(mesh, cells)).reshape(len(cells), len(points), -1)
-
-    return values
-
-
-def _updater(
-    field: dolfinx.fem.Function | Expr, copy: dolfinx.fem.Function, rule: tuple[Array, Array] | None
-) -> Callable[[], object]:
-    """Return a function that interpolates a field, or projects data at quadrature points."""
-    V = copy.function_space
-    if rule is None and isinstance(field, dolfinx.fem.Function):
-        if field.function_space.ufl_element().pullback == ufl.identity_pullback:
-            return lambda: copy.interpolate(field)
-    points, weights = (interpolation_points(V), None) if rule is None else rule
-    values = _evaluator(field, V.mesh, points)
-    project = None
-    if weights is not None:
-        φ = V.element.basix_element.tabulate(0, points)[0, :, :, 0]
-        project = projection(φ, weights)
-
-    def update() -> None:
-        coefficients = values()
-        if project is not None:
-            coefficients = np.einsum("iq,cqk->cik", project, coefficients)  # c = Π f
-        copy.x.array.reshape(-1, V.dofmap.bs)[V.dofmap.list[: len(coefficients)]] = coefficients
-        copy.x.scatter_forward()
-
-    return update
 
 
 def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:

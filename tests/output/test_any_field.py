@@ -34,6 +34,11 @@ KINDS = [pytest.param("vtx", marks=needs_adios2), "xdmf"]
 # -- data at quadrature points
 
 
+def written_functions(writer: FieldWriter) -> list[dolfinx.fem.Function]:
+    """The functions in the file, with the values of the last step."""
+    return [copy.function for copy in writer._copies]
+
+
 def at_points(mesh: dolfinx.mesh.Mesh, degree: int, name: str = "S") -> dolfinx.fem.Function:
     """Return 1 + x₀ − 2 x₁ at quadrature points."""
     cell = mesh.topology.cell_name()
@@ -59,10 +64,10 @@ def test_data_at_quadrature_points_are_projected(tmp_path, kind, cell, degree):
     ) as writer:
         S.x.array[:] *= 3.0  # after the writer was made
         writer.write(0.0)
-        exact = dolfinx.fem.Function(writer._copies[0].function_space)
+        exact = dolfinx.fem.Function(written_functions(writer)[0].function_space)
         exact.interpolate(lambda x: 3 * (1 + x[0] - 2 * x[1]))
         mean = np.mean(exact.x.array[exact.function_space.dofmap.list], axis=1, keepdims=True)
-        for copy, factor in zip(writer._copies, (1, 2), strict=True):
+        for copy, factor in zip(written_functions(writer), (1, 2), strict=True):
             dofs = copy.function_space.dofmap.list
             wanted = exact.x.array[dofs] if degree > 1 else np.broadcast_to(mean, dofs.shape)
             equal(copy.x.array[dofs], factor * wanted, 100 * ROUNDING)
@@ -75,7 +80,7 @@ def test_value_that_is_no_number_spoils_its_node_only(tmp_path, kind):
     v = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1)), name="v")
     x = ufl.SpatialCoordinate(mesh)
     with FieldWriter(tmp_path / "o", [v], {"e": 1 / x[0]}, kind=kind) as writer:
-        copy = writer._copies[-1]
+        copy = written_functions(writer)[-1]
         V = copy.function_space
         owned = np.arange(V.dofmap.index_map.size_local)
         at = V.tabulate_dof_coordinates()[owned, 0]
@@ -187,7 +192,7 @@ def test_every_element_on_straight_and_curved_cells(tmp_path, kind, order):
         functions.append(f)
     with FieldWriter(tmp_path / "o", functions, {"two": ufl.as_ufl(2.0)}, kind=kind) as writer:
         writer.write(0.0)
-        for copy in writer._copies:
+        for copy in written_functions(writer):
             equal(copy.x.array, np.full_like(copy.x.array, 2.0), 100 * ROUNDING)
     agree(writer.path.exists())
 
