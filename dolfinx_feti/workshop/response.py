@@ -29,6 +29,9 @@ __all__ = ["DataSet", "Measure", "Response", "plot_responses", "respond", "stres
 
 Measure: TypeAlias = Literal["cauchy", "piola"]
 
+#: Symbol of each measure in legends.
+SYMBOLS: dict[Measure, str] = {"cauchy": "σ", "piola": "P"}
+
 
 @dataclass(frozen=True, slots=True)
 class Response:
@@ -147,16 +150,17 @@ def plot_responses(
     if len(names) != len(responses):
         raise ValueError(f"names = {names}: give one for each of the {len(responses)} responses.")
     named = zip(names, responses, strict=True)
-    curves = [(name, r.path, stresses(r, measure)) for name, r in named]
+    curves = [(name, r.path, stresses(r, measure), SYMBOLS[measure]) for name, r in named]
     from matplotlib.figure import Figure  # without the windows of pyplot
 
     figure = Figure(figsize=(4.8, 3.8), layout="constrained")
     ax = figure.subplots()
-    points = [(d.name, d.path, d.stress) for d in data]
+    points = [(d.name, d.path, d.stress, SYMBOLS[d.measure]) for d in data]
     for parts, style in ((curves, "-"), (points, "o")):
-        for name, path, values in parts:
+        for name, path, values, symbol in parts:
             for (i, j), column in zip(path.measured, values.T, strict=True):
-                ax.plot(path.values, column, style, markersize=4, label=f"{name}, {i + 1}{j + 1}")
+                label = f"{name}, {symbol}$_{{{i + 1}{j + 1}}}$"
+                ax.plot(path.values, column, style, markersize=4, label=label)
     ax.set_xlabel(" or ".join(sorted({r.path.symbol for r in responses}, reverse=True)))
     ax.set_ylabel({"cauchy": "Cauchy", "piola": "first Piola"}[measure] + " stress [kPa]")
     ax.legend()

@@ -153,7 +153,8 @@ def test_picture(tmp_path):
     figure.savefig(tmp_path / "fit.png")
     assert (tmp_path / "fit.png").stat().st_size > 5000
     (named,) = plot_responses(curves, names=["strip", "block"]).axes
-    assert [t.get_text().split(",")[0] for t in named.get_legend().texts] == ["strip", "block"]
+    labels = [text.get_text() for text in named.get_legend().texts]
+    assert labels == ["strip, σ$_{11}$", "block, σ$_{12}$"]
     for responses, wrong, match in (
         (curves, {"names": ["strip"]}, "give one for each of the 2 responses"),
         ([], {}, "give at least one response"),
