@@ -44,8 +44,11 @@ def paths(text: str) -> Iterator[str]:
 
 
 def links(text: str) -> Iterator[str]:
-    """Yield the targets of links and pictures that are files."""
-    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+    """Yield the targets of links and pictures that are files, in Markdown, MyST and HTML."""
+    markdown = re.findall(r"\]\(([^)\s]+)\)", text)
+    directives = re.findall(r"^```\{image\} (\S+)$", text, re.M)
+    html = re.findall(r'<(?:source|img) [^>]*?(?:src|srcset)="([^"]+)"', text)
+    for target in (*markdown, *directives, *html):
         if not re.match(r"https?://|#", target):
             yield target.split("#")[0]
 
@@ -184,6 +187,8 @@ def test_paths_are_found():
     )
     assert list(paths(text)) == ["a/b.py", "docs/usage.md", "scripts/with-fenicsx"]
     assert list(links("[a](b/c.md#d) [e](https://f) ![g](h.png) [](#i)")) == ["b/c.md", "h.png"]
+    shown = '```{image} a.png\n```\n<source media="(x)" srcset="b.png">\n<img src="c.png" alt="">'
+    assert list(links(shown)) == ["a.png", "b.png", "c.png"]
     names = list(imported("from dolfinx_feti.x import y, z\nimport numpy"))
     assert names == [("dolfinx_feti.x", "y"), ("dolfinx_feti.x", "z")]
 

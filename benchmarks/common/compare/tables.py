@@ -3,20 +3,18 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The tables of the comparison, and its figure.
 
-    python3 -m benchmarks.common.compare.tables docs/results/speed.json docs/images/speed.png
-
-The figure shows seconds of one linear solve over dofs: first Newton steps with P2–P0 and κ = 1000
-kPa, each solver in its faster layout.
+The figure, which ``scripts/images.py`` draws for README, shows seconds of one linear solve over
+dofs: first Newton steps with P2–P0 and κ = 1000 kPa, each solver in its faster layout.
 """
 
 from __future__ import annotations
 
 import itertools
-import json
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+
+from matplotlib.ticker import EngFormatter, LogLocator, NullLocator, StrMethodFormatter
 
 from benchmarks.common.compare.geometries import GEOMETRIES
 from benchmarks.common.compare.opponents import DIRECT
@@ -59,6 +57,12 @@ SPECIAL = ("loaded_mmhg", "path_mmhg", "wanted_subdomains", "per")
 
 #: Bodies of the figure.
 BODIES = {name: GEOMETRIES[name].title for name in ("tube", "vessel", "block")}
+
+#: Width and height of a panel of the figure in inches: its text is legible if the figure is 600
+#: pixels wide. Pixels per inch, and leading digits of the ticks.
+PANEL = (2.6, 2.5)
+PANEL_DPI = 200
+TICKS = (1.0, 2.0, 5.0)
 
 #: The curves: their solvers, the fastest of which counts, and how they look.
 CURVES: dict[str, tuple[tuple[str, ...], Style]] = {
@@ -283,15 +287,22 @@ def points(
     return sorted((dofs, min(map(seconds, mine))) for (dofs,), mine in found)
 
 
-def draw(records: Sequence[Record], path: Path) -> None:
-    """Draw the panels of all bodies into a file."""
+def draw(records: Sequence[Record], path: Path, *, dark: bool = False) -> None:
+    """Draw the panels of all bodies into a file, for light or for dark pages."""
     legend = {name: style for name, (_, style) in CURVES.items()}
-    with picture(path, 1, len(BODIES), legend, sharey=True) as axes:
+    with picture(
+        path, 1, len(BODIES), legend, dark=dark, panel=PANEL, dpi=PANEL_DPI, sharey=True
+    ) as axes:
         for ax, (geometry, title) in zip(axes[0], BODIES.items(), strict=True):
             for solvers, style in CURVES.values():
                 curve(ax, points(records, geometry, solvers), **style)
             ax.set(title=title, xlabel="dofs", xscale="log", yscale="log")
-        axes[0, 0].set_ylabel("set-up and solve [s], two cores")
+            for axis in (ax.xaxis, ax.yaxis):
+                axis.set_major_locator(LogLocator(subs=TICKS))
+                axis.set_minor_locator(NullLocator())
+            ax.xaxis.set_major_formatter(EngFormatter(sep=""))
+            ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes[0, 0].set_ylabel("set-up and solve [s],\ntwo cores")
 
 
 def draw_compressible(records: Sequence[Record], folder: Path) -> list[Fields]:
@@ -325,7 +336,3 @@ def draw_compressible(records: Sequence[Record], folder: Path) -> list[Fields]:
             ax.set_xlim(-0.5, max(len(part), 1) - 0.5)
         axes[0, 0].set_ylabel("set-up and solve [s]")
     return [{"picture": "speed_compressible.png"}]
-
-
-if __name__ == "__main__":
-    draw(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")), Path(sys.argv[2]))
