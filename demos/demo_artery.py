@@ -24,7 +24,7 @@ import ufl
 from dolfinx_feti import NonlinearProblem, compare, kinematics, loads, materials
 from dolfinx_feti.loading import Steps, follow_load
 from dolfinx_feti.meshes.walls import open_wall
-from dolfinx_feti.output import FieldWriter, create_patches, pictures, recovered_field
+from dolfinx_feti.output import FieldWriter, create_patches, pictures, recovered_field, scenes
 from dolfinx_feti.wall import (
     Clamp,
     Pressure,
@@ -150,13 +150,17 @@ pictures.draw(
 sigma = kinematics.cauchy_stress(psi, F)
 normal = ufl.inv(F).T * frame.transmural
 stress = recovered_field(sigma, create_patches(wall.mesh, wall.cell_tags), normal=normal)
-pictures.draw(
-    folder / "wall.png",
-    pictures.subdomains(problem, title="64 subdomains"),
-    pictures.field(
-        kinematics.stress_magnitude(stress),
-        "stress magnitude √(σ : σ) [kPa]",
-        displacement=u,
-        title="at 10 mmHg",
-    ),
+inflated = pictures.field(
+    kinematics.stress_magnitude(stress),
+    "stress magnitude √(σ : σ) [kPa]",
+    displacement=u,
+    title="at 10 mmHg",
 )
+pictures.draw(folder / "wall.png", pictures.subdomains(problem, title="64 subdomains"), inflated)
+# -
+
+# ## The wall in a browser
+#
+# The same body in an HTML file, in which it is turned with the mouse.
+
+scenes.write_scene(folder / "wall.html", inflated)

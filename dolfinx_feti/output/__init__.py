@@ -1,10 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Output: recovered stresses, values at points, fields for ParaView, and pictures.
+"""Output: recovered stresses, values at points, fields for ParaView, pictures, and scenes.
 
 In the order of the data: patches, stress, evaluation, file_fields, point_cloud, fields,
-surfaces, pictures.
+surfaces, pictures, scenes.
 """
 
 from dolfinx_feti.output.evaluation import cell_values, evaluate

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.runtime.arrays import Numbers
+from dolfinx_feti.runtime.arrays import Array, Numbers
 
 __all__ = ["FIBRES", "TISSUE", "ColourScale", "subdomain_colours"]
 
@@ -36,6 +36,22 @@ class ColourScale:
 
     name: str
     ranges: Mapping[str, tuple[float, float]]
+
+    def colours_of(self, values: Array, label: str) -> npt.NDArray[np.uint8]:
+        """Return the colours of the values of a field as red, green and blue up to 255, (n, 3).
+
+        Args:
+            values: Values of the field, (n,).
+            label: Its label.
+        """
+        from matplotlib import colormaps
+
+        low, high = self.ranges[label]
+        if high > low:
+            shares = np.clip((values - low) / (high - low), 0.0, 1.0)
+        else:
+            shares = np.full_like(values, 0.5)
+        return np.asarray(colormaps[self.name](shares, bytes=True), dtype=np.uint8)[:, :3]
 
 
 def subdomain_colours(numbers: Numbers) -> npt.NDArray[np.uint8]:
