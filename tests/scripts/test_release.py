@@ -6,9 +6,7 @@
 from __future__ import annotations
 
 import ast
-import os
 import re
-import shutil
 import subprocess
 import sys
 import tarfile
@@ -17,6 +15,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from demos_from_wheel import build_sdist, build_wheel, install, run, run_demo
 from wall_files import ROOT
 
 import dolfinx_feti
@@ -27,9 +26,6 @@ pytest.importorskip("setuptools", "77")
 pytestmark = pytest.mark.serial
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-#: What is not in the repository, or is no part of it: at its top, and anywhere.
-LEFT_OUT = shutil.ignore_patterns(".*", "build", "dist", "output", "*.egg-info")
-CACHES = shutil.ignore_patterns("__pycache__")
 (PROGRAM,) = re.findall(r"^```python\n(.*?)^```", README, re.M | re.S)
 #: README's program, from an installation.
 USE = f"""
@@ -39,48 +35,29 @@ from pathlib import Path
 import dolfinx_feti
 
 home = Path(dolfinx_feti.__file__)
-assert home.is_relative_to(sys.path[0]), home
 assert (home.parent / "py.typed").is_file()
 assert problem.solver.getConvergedReason() > 0
 print(dolfinx_feti.__version__)
 """
 
 
-def run(*command: str | Path, cwd: Path) -> str:
-    """Run a command that knows nothing of the checkout; return what it says."""
-    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-    command = list(map(str, command))
-    how = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    result = subprocess.run(command, cwd=cwd, env=environment, timeout=300.0, check=False, **how)
-    assert result.returncode == 0, result.stdout
-    return result.stdout
-
-
-def build(kind: str, source: Path, out: Path) -> Path:
-    """Build a sdist or a wheel with the back end; return its file."""
-    code = f"from setuptools import build_meta; print(build_meta.build_{kind}({str(out)!r}))"
-    out.mkdir(exist_ok=True)
-    return out / run(sys.executable, "-c", code, cwd=source).splitlines()[-1]
-
-
 @pytest.fixture(scope="module")
 def sdist(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("release")
-    source = folder / "source"
-
-    def ignored(where: str, names: list[str]) -> set[str]:
-        return CACHES(where, names) | (LEFT_OUT(where, names) if Path(where) == ROOT else set())
-
-    shutil.copytree(ROOT, source, ignore=ignored, symlinks=True)
-    return build("sdist", source, folder / "dist")
+    return build_sdist(tmp_path_factory.mktemp("release"))
 
 
 @pytest.fixture(scope="module")
 def wheel(sdist) -> Path:
     """It is made of the sdist, so that this lacks nothing."""
-    with tarfile.open(sdist) as archive:
-        archive.extractall(sdist.parent, filter="data")
-    return build("wheel", sdist.parent / sdist.name.removesuffix(".tar.gz"), sdist.parent)
+    return build_wheel(sdist)
+
+
+@pytest.fixture(scope="module")
+def site(wheel, tmp_path_factory) -> Path:
+    """Folder with the installed package."""
+    folder = tmp_path_factory.mktemp("installed") / "site"
+    install(wheel, folder)
+    return folder
 
 
 def test_sdist_holds_tests_and_documents(sdist):
@@ -100,12 +77,18 @@ def test_wheel_holds_the_package_alone(wheel):
     assert source | {"dolfinx_feti/py.typed"} <= set(names)
 
 
-def test_wheel_serves_where_there_is_no_checkout(wheel, tmp_path):
-    """In a separate folder: a virtual environment would not find the MPI of its parent."""
-    offline = ("--no-deps", "--no-index", "--no-build-isolation")
-    run(sys.executable, "-m", "pip", "install", *offline, "--target", "it", wheel, cwd=tmp_path)
-    code = f"import sys; sys.path.insert(0, {str(tmp_path / 'it')!r}){USE}"
-    assert run(sys.executable, "-c", code, cwd=tmp_path).split()[-1] == dolfinx_feti.__version__
+def test_wheel_serves_where_there_is_no_checkout(site, tmp_path):
+    printed = run(sys.executable, "-c", USE, cwd=tmp_path, site=site)
+    assert printed.split()[-1] == dolfinx_feti.__version__
+
+
+@pytest.mark.parametrize("demo", ["demo_torn_matrix", "demo_solver_options"])
+def test_demo_runs_with_the_wheel(site, tmp_path, demo):
+    """Two short ones; ``scripts/demos_from_wheel.py`` runs all."""
+    pytest.importorskip("pyvista")
+    log = tmp_path / "log"
+    outcome = run_demo(demo, 1, site, log)
+    assert not outcome.failure, log.read_text()
 
 
 @pytest.mark.parametrize("lacking", ["mpi4py", "petsc4py", "dolfinx"])
