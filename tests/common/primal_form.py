@@ -56,7 +56,7 @@ def create(
     if more is not None:
         U = [np.hstack(pair) for pair in zip(U, more(setup, copies), strict=True)]
     V = within.own(AveragedBasis(copies, U))
-    made = PrimalPreconditioner(setup.delta, setup.inverse, setup.inertia, copies, V)
+    made = PrimalPreconditioner(setup.delta, setup.inverse, setup.inertia, V)
     return create_primal_formulation(pattern, S, made, within)
 
 

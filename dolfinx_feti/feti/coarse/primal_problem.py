@@ -35,6 +35,7 @@ from dolfinx_feti.feti.coarse.products import (
 from dolfinx_feti.feti.coarse.rounding import NEGATIVE_ENERGY_MARGIN, column_energy_rounding
 from dolfinx_feti.feti.coarse.solver import CoarseSolver
 from dolfinx_feti.feti.coarse.zero_energy import ZeroEnergyFields
+from dolfinx_feti.feti.interface.copies import Copies
 from dolfinx_feti.feti.subdomain.failures import on_subdomains
 from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
 from dolfinx_feti.feti.subsolver_options import DirectOptions
@@ -128,6 +129,11 @@ class PrimalCoarseProblem:
             self.zero_energy_fields = ZeroEnergyFields(V, self.combinations, self.A_0, self.solver)
             self._x, self._e = (owned.own(vector) for vector in self.A_0.createVecs())
             self._owned = owned.pop_all()
+
+    @property
+    def copies(self) -> Copies:
+        """Copies of the interface dofs."""
+        return self.V.copies
 
     def _make_regular_along_null_space(self, S: SchurOperator) -> None:
         """Make A₀ regular along the null space Z of A that the user has given. Collective.

@@ -48,7 +48,6 @@ class DeflationSpace:
 
     Attributes:
         coarse: V, A V and A₀.
-        copies: Copies of the interface dofs.
         S: Schur complements of the subdomains of this process.
         W: The vectors, balanced, (n_Γ, k).
         M_inverse_W: M⁻¹ W, with the M of the solves in which W was computed, (n_Γ, k).
@@ -59,7 +58,6 @@ class DeflationSpace:
     """
 
     coarse: PrimalCoarseProblem
-    copies: Copies
     S: SchurOperator
     W: Array
     M_inverse_W: Array
@@ -67,6 +65,11 @@ class DeflationSpace:
     H: Array
     H_inverse: Array
     is_indefinite: bool
+
+    @property
+    def copies(self) -> Copies:
+        """Copies of the interface dofs."""
+        return self.coarse.copies
 
     @property
     def count(self) -> int:
@@ -124,7 +127,6 @@ class DeflationSpace:
 
 def create_deflation_space(
     coarse: PrimalCoarseProblem,
-    copies: Copies,
     S: SchurOperator,
     vectors: DeflationVectors | None,
     *,
@@ -136,16 +138,16 @@ def create_deflation_space(
 
     Args:
         coarse: V, A V and A₀ of the current matrix.
-        copies: Copies of the interface dofs.
         S: Schur complements of the subdomains of this process.
         vectors: W and M⁻¹ W, (n_Γ, k) each; None for V alone.
         is_symmetric: Whether A is symmetric.
     """
+    copies = coarse.copies
     comm = copies.comm
     with event("FETIRecycling"):
         if vectors is None:
             vectors = DeflationVectors(np.zeros((copies.size, 0)), np.zeros((copies.size, 0)))
-        W = _balanced(coarse, copies, S, vectors.W)
+        W = _balanced(coarse, S, vectors.W)
         B = _combinations_outside_V(copies, vectors.W, W)
         W = W @ B
         Y = on_subdomains(
@@ -160,7 +162,6 @@ def create_deflation_space(
                 is_indefinite = True
     return DeflationSpace(
         coarse=coarse,
-        copies=copies,
         S=S,
         W=W,
         M_inverse_W=vectors.M_inverse_W @ B,
@@ -171,8 +172,9 @@ def create_deflation_space(
     )
 
 
-def _balanced(coarse: PrimalCoarseProblem, copies: Copies, S: SchurOperator, W: Array) -> Array:
+def _balanced(coarse: PrimalCoarseProblem, S: SchurOperator, W: Array) -> Array:
     """Return W − V A₀⁻¹ Vᵀ A W, (n_Γ, k). Collective."""
+    copies = coarse.copies
     SW = on_subdomains(lambda: S.multiply_columns(W), copies.comm)
     balanced = W.copy(order="F")
     for j in range(W.shape[1]):
@@ -192,10 +194,10 @@ def _combinations_outside_V(copies: Copies, W: Array, balanced: Array) -> Array:
         B, (k, up to k).
     """
     δ = copies.delta[:, None]
-    sizes = total_of(W.T @ (δ * W), copies.comm).diagonal()  # ‖w‖²
+    before = total_of(W.T @ (δ * W), copies.comm).diagonal()  # ‖w‖²
     gram = total_of(balanced.T @ (δ * balanced), copies.comm)
     squares, B = on_all(lambda: np.linalg.eigh(gram), copies.comm)
-    return np.asarray(B[:, squares > MIN_BALANCED_SQUARE * sizes.max(initial=0.0)])
+    return np.asarray(B[:, squares > MIN_BALANCED_SQUARE * before.max(initial=0.0)])
 
 
 def _diagonal_and_inverse(H: Array) -> tuple[Array, Array, Array]:

@@ -114,7 +114,6 @@ class PrimalFormulation:
     def system(self) -> PrimalSystem:
         """A_Γ and its preconditioner; a view of parts of this object, created at each access."""
         return PrimalSystem(
-            copies=self.preconditioner.copies,
             deflation=self.deflation,
             multiply_local=self.operator.multiply_on_interface,
             solve_local=self.preconditioner.inverse.solve_regularised_on_interface,
@@ -260,7 +259,7 @@ class PrimalFormulation:
 
 def create_primal_formulation(
     pattern: Pattern,
-    S: SchurOperator,
+    operator: SchurOperator,
     preconditioner: PrimalPreconditioner,
     within: Lifetime,
     vectors: DeflationVectors | None = None,
@@ -271,7 +270,7 @@ def create_primal_formulation(
 
     Args:
         pattern: Pattern of the matrix.
-        S: Schur complements of the matrix, and K_II⁻¹.
+        operator: Schur complements S of the matrix, and K_II⁻¹.
         preconditioner: Preconditioner of the matrix or of an earlier one.
         within: Owner of Vᵀ A_Γ and A₀.
         vectors: Ritz vectors of a solve with an earlier matrix; None for a first solve.
@@ -281,15 +280,14 @@ def create_primal_formulation(
         SingularError: A body can move rigidly, or the matrix has a mechanism.
         SetUpError: The coarse solver is not accurate.
     """
-    copies = preconditioner.copies
     options = pattern.subsolvers.coarse
     with event("FETICoarse"):
         require_supported(pattern.torn, pattern.bodies)
-        if not S.is_interior_eliminated:
-            require_regular_interior_blocks(pattern, S)
+        if not operator.is_interior_eliminated:
+            require_regular_interior_blocks(pattern, operator)
         coarse = PrimalCoarseProblem(
             preconditioner.V,
-            S,
+            operator,
             options=options,
             is_symmetric=pattern.is_symmetric,
             combinations=preconditioner.combinations,
@@ -297,18 +295,16 @@ def create_primal_formulation(
         )
         within.own(coarse)
         require_accurate_solver(coarse.A_0, coarse.solver, options)
-        _require_no_mechanism(pattern, S, preconditioner, coarse)
+        _require_no_mechanism(pattern, operator, preconditioner, coarse)
     if vectors is None:
-        vectors = _first_vectors(pattern, S, preconditioner, coarse)
-    deflation = create_deflation_space(
-        coarse, copies, S, vectors, is_symmetric=pattern.is_symmetric
-    )
-    interior = sum_if_known(S.count_negative_interior_eigenvalues, pattern.torn.comm)
+        vectors = _first_vectors(pattern, operator, preconditioner, coarse)
+    deflation = create_deflation_space(coarse, operator, vectors, is_symmetric=pattern.is_symmetric)
+    interior = sum_if_known(operator.count_negative_interior_eigenvalues, pattern.torn.comm)
     negative = coarse.negative_eigenvalues
     assembled = None if negative is None or interior is None else negative + interior
     return PrimalFormulation(
         pattern=pattern,
-        operator=S,
+        operator=operator,
         preconditioner=preconditioner,
         coarse=coarse,
         deflation=deflation,
@@ -319,7 +315,7 @@ def create_primal_formulation(
 
 def _require_no_mechanism(
     pattern: Pattern,
-    S: SchurOperator,
+    operator: SchurOperator,
     preconditioner: PrimalPreconditioner,
     coarse: PrimalCoarseProblem,
 ) -> None:
@@ -338,14 +334,14 @@ def _require_no_mechanism(
     for j in range(fields.shape[1]):
         on_interface = np.zeros(torn.n)
         on_interface[preconditioner.copies.dofs] = zero_energy_fields.field(j)
-        fields[:, j] = S.extend(on_interface, np.zeros(torn.n))
+        fields[:, j] = operator.extend(on_interface, np.zeros(torn.n))
     is_semidefinite = pattern.is_symmetric and preconditioner.inertia.is_definite
     require_no_mechanism(torn, pattern.bodies, fields, is_semidefinite=is_semidefinite)
 
 
 def _first_vectors(
     pattern: Pattern,
-    S: SchurOperator,
+    operator: SchurOperator,
     preconditioner: PrimalPreconditioner,
     coarse: PrimalCoarseProblem,
 ) -> DeflationVectors | None:
@@ -365,7 +361,7 @@ def _first_vectors(
     if not _is_softened(inverse, pattern.torn.comm):
         return None
     with event("FETIRecycling"):
-        return soft_fields(coarse, preconditioner.copies, S, inverse, count=count)
+        return soft_fields(coarse, operator, inverse, count=count)
 
 
 def _is_softened(inverse: GeneralizedInverse, comm: MPI.Comm) -> bool:

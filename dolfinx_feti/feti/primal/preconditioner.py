@@ -38,7 +38,6 @@ class PrimalPreconditioner:
         delta: Weight δ of every torn dof, (n,).
         inverse: K_ρ⁻¹, and R, E, D of each subdomain.
         inertia: Numbers of negative eigenvalues of K_ρ, D and K_II.
-        copies: Copies of the interface dofs.
         V: The averaged columns.
         is_reused: Whether it serves a later matrix than that of its set-up.
         combinations: Combinations of the columns of this process by the matrix of the set-up; None
@@ -48,10 +47,14 @@ class PrimalPreconditioner:
     delta: Array
     inverse: GeneralizedInverse
     inertia: Inertia
-    copies: Copies
     V: AveragedBasis
     is_reused: bool = False
     combinations: Combinations | None = None
+
+    @property
+    def copies(self) -> Copies:
+        """Copies of the interface dofs."""
+        return self.V.copies
 
     def for_later_matrix(self, combinations: Combinations) -> PrimalPreconditioner:
         """Return this preconditioner for a later matrix, which uses the same combinations.
@@ -86,7 +89,7 @@ def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> P
         )
         U = [np.hstack(columns) for columns in zip(E, adaptive, strict=True)]
         V = within.own(AveragedBasis(copies, U))
-    return PrimalPreconditioner(setup.delta, setup.inverse, setup.inertia, copies, V)
+    return PrimalPreconditioner(setup.delta, setup.inverse, setup.inertia, V)
 
 
 def create_symmetric_part_preconditioner(

@@ -20,7 +20,6 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_feti.feti.coarse.primal_problem import PrimalCoarseProblem
-from dolfinx_feti.feti.interface.copies import Copies
 from dolfinx_feti.feti.solve_info import DeflationVectors
 from dolfinx_feti.feti.subdomain.failures import on_subdomains
 from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
@@ -40,12 +39,7 @@ MIN_INDEPENDENT_SQUARE = 1e-10
 
 
 def soft_fields(
-    coarse: PrimalCoarseProblem,
-    copies: Copies,
-    S: SchurOperator,
-    inverse: GeneralizedInverse,
-    *,
-    count: int,
+    coarse: PrimalCoarseProblem, S: SchurOperator, inverse: GeneralizedInverse, *, count: int
 ) -> DeflationVectors:
     """Compute the fields of V of smallest energy, corrected: W = M A V c. Collective.
 
@@ -54,7 +48,6 @@ def soft_fields(
 
     Args:
         coarse: V and A₀ of the current matrix.
-        copies: Copies of the interface dofs.
         S: Schur complements of the subdomains of this process.
         inverse: K⁺ of the same subdomains. It differs from the K_ρ⁻¹ of M by columns of the coarse
             space, which balancing removes from W.
@@ -63,9 +56,10 @@ def soft_fields(
     Returns:
         W and M⁻¹ W = A V c, (n_Γ, up to ``count``) each, with Wᵀ M⁻¹ W = I.
     """
+    copies = coarse.copies
     δ = copies.delta[:, None]
     comm = copies.comm
-    X = _softest_in_coarse_space(coarse, copies, count)  # X = V c
+    X = _softest_in_coarse_space(coarse, count)  # X = V c
     SX = on_subdomains(lambda: S.multiply_columns(X), comm)
     AX = _by_column(copies.sum, SX, copies.size)  # M⁻¹ W = A V c
     Y = on_subdomains(lambda: inverse.solve_on_interface(δ * AX), comm)
@@ -74,18 +68,18 @@ def soft_fields(
     return DeflationVectors(np.asfortranarray(W @ B), np.asfortranarray(AX @ B))
 
 
-def _softest_in_coarse_space(coarse: PrimalCoarseProblem, copies: Copies, count: int) -> Array:
+def _softest_in_coarse_space(coarse: PrimalCoarseProblem, count: int) -> Array:
     """Compute fields V c of small energy for their size by inverse iteration. Collective.
 
     Args:
         coarse: V and A₀ of the current matrix.
-        copies: Copies of the interface dofs.
         count: Largest number of fields.
 
     Returns:
         X = V c with Xᵀ δ X = I, (n_Γ, up to ``count``).
     """
     V = coarse.V
+    copies = coarse.copies
     δ = copies.delta[:, None]
     comm = copies.comm
 

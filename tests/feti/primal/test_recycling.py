@@ -80,7 +80,7 @@ def iterate(system, f, *, rtol=1e-10, max_it=200, stored=200):
 
 def deflated(primal, system, vectors):
     """The space with Ritz vectors, and the system with it."""
-    space = create_deflation_space(primal.coarse, primal.system.copies, primal.operator, vectors)
+    space = create_deflation_space(primal.coarse, primal.operator, vectors)
     return space, replace(system, deflation=space)
 
 
@@ -216,7 +216,7 @@ def test_soft_fields(interior, torn_grid, create_primal):
     copies = primal.system.copies
     system = primal.system
     inverse = primal.preconditioner.inverse
-    found = soft_fields(primal.coarse, copies, S, inverse, count=FEW)
+    found = soft_fields(primal.coarse, S, inverse, count=FEW)
     agree(found.W.shape == (copies.size, FEW))
     equal(
         COMM.allreduce(found.W.T @ (copies.delta[:, None] * found.M_inverse_W)), np.eye(FEW), 1e-8
