@@ -11,9 +11,9 @@ A set-up makes four calls, in this order:
 3. ``create_schur_operator`` factors K_II, and forms S if the interior is eliminated. The
    ``SchurOperator`` belongs to one matrix: it is destroyed when the entries of K change.
 4. ``create_generalized_inverse`` computes the modes, and factors K_ρ, or S_ρ. The
-   ``GeneralizedInverse`` does not refer to the matrix, so that later matrices may reuse it.
+   ``GeneralizedInverse`` does not refer to the matrix: it may precondition later ones.
 
-Steps 1 and 2 are collective. Steps 3 and 4 work on one process alone, inside of
+Steps 1 and 2 are collective. Steps 3 and 4 work on each process alone, inside of
 ``failures.on_subdomains``. The other files:
 
 - Tools: failures, blocks, block_diagonal, panels, orthonormal.
@@ -22,10 +22,10 @@ Steps 1 and 2 are collective. Steps 3 and 4 work on one process alone, inside of
   interior (those of K_II).
 - All modes: modes, scaled, soft_modes, mode_search.
 
-In shapes, n_i is the number of dofs of subdomain i that are not fixed, n_{Γ,i} of those on its
-interface, n_{I,i} of those in its interior; n and n_Γ are the sums of all torn dofs and of all
-n_{Γ,i} of this process. If the interior is eliminated, S_i takes the place of K_i, and n_{Γ,i} that
-of n_i. *The paper* is Augustin, Holzapfel and Steinbach 2014 (docs/theory.md).
+In shapes, subdomain i has n_i free dofs, n_{Γ,i} of them on its interface and n_{I,i} in its
+interior. This process has n torn dofs, n_Γ = Σ n_{Γ,i} of them on interfaces. If the interior is
+eliminated, S_i replaces K_i, and n_i means n_{Γ,i}. *The paper* is Augustin, Holzapfel and
+Steinbach 2014 (docs/theory.md).
 
 In the order of the data: subdomain, failures, blocks, block_diagonal, panels, orthonormal, factors,
 analysis, matrix, schur, schur_operator, kernel_detection, null_vectors, interior, modes, scaled,

@@ -18,7 +18,7 @@ from dolfinx_feti.torn.matrix import Torn
 
 def block_diagonal(blocks: Sequence[Array]) -> scipy.sparse.csr_array:
     """Return dense blocks, (r_i, c_i), as the diagonal of a sparse matrix; zeros are stored."""
-    # The empty block makes the result a sparse array, also where there is no other.
+    # With the empty block the result is a sparse array even if there are no other blocks.
     return scipy.sparse.block_diag([*blocks, scipy.sparse.coo_array((0, 0))], format="csr")
 
 

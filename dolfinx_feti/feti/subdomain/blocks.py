@@ -3,9 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Blocks ``K[rows, columns]`` of the local matrix of a process, and products with them.
 
-Each call copies its block out of K, as PETSc has no product with a part of a sparse matrix. With
-3000 dofs the copy takes 0.6 ms, as long as the product of the block with twenty columns, so that
-callers pass many columns at once. Products of an iteration do not use it
+Each call copies its block out of K, because PETSc cannot multiply with a part of a sparse matrix.
+With 3000 dofs the copy takes 0.6 ms, as long as the product of the block with twenty columns:
+callers pass many columns at once. The products in an iteration avoid the copy
 (``schur_operator.InterfaceRows``).
 """
 

@@ -1,11 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Errors of work on a subdomain: they get its number, and are raised on all processes.
+"""Errors in the work on a subdomain: they get its number, and are raised on all processes.
 
-Work on a subdomain may fail on one process alone. :class:`NumberedErrors` adds the number of the
-subdomain to the error; :func:`on_subdomains` raises it on all processes, with a remedy. A mistake
-in the program, such as a ``TypeError``, is not changed.
+Work on a subdomain may fail on a single process. :class:`NumberedErrors` adds the number of the
+subdomain to the error; :func:`on_subdomains` raises it on all processes, with a remedy. Mistakes in
+the program, such as a ``TypeError``, are passed on unchanged.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dolfinx_feti.runtime.collective import error_message, on_all
 
 T = TypeVar("T")
 
-#: Mistakes in the program, which no other data or options avoid: they are raised unchanged.
+#: Mistakes in the program, which other data or options cannot avoid. They are raised unchanged.
 PROGRAM_ERRORS = (AssertionError, AttributeError, LookupError, NameError, TypeError)
 
 
@@ -32,15 +32,15 @@ class RemediedFactorError(FactorError):
 class NumberedErrors:
     """Context that adds the number of a subdomain to the errors of the work inside.
 
-    A ``FactorError`` or ``MemoryError`` keeps its class, with a new message; attributes are lost.
-    Any other error of the data, such as one of LAPACK, becomes a ``FactorError``.
+    A ``FactorError`` or ``MemoryError`` keeps its class, but not its attributes. Any other error
+    that the data cause, such as an error of LAPACK, becomes a ``FactorError``.
 
     Args:
         subdomain: Number of the subdomain over all processes.
     """
 
     # Not a contextlib.contextmanager: a generator would leave a reference cycle through the
-    # traceback, which keeps PETSc objects alive until Python collects garbage.
+    # traceback, and PETSc objects would stay alive until Python collects garbage.
 
     def __init__(self, subdomain: int) -> None:
         self._subdomain = subdomain
@@ -54,7 +54,7 @@ class NumberedErrors:
         error: BaseException | None,
         _traceback: TracebackType | None,
     ) -> None:
-        """Raise an error of the work with the number of the subdomain."""
+        """Raise the error of the work again, with the number of the subdomain."""
         if not isinstance(error, Exception) or isinstance(error, PROGRAM_ERRORS):
             return
         kind: type[Exception] = FactorError
@@ -67,7 +67,7 @@ class NumberedErrors:
 def on_subdomains(work: Callable[[], T], comm: MPI.Comm) -> T:
     """Do work on the subdomains of each process; raise on all if it fails on one. Collective.
 
-    After the errors of :func:`on_all` it adds a remedy, and changes the class of the error.
+    Unlike :func:`on_all`, it adds a remedy to the message, and changes the class of the error.
 
     Args:
         work: Not collective; its errors have the number of the subdomain (:class:`NumberedErrors`).

@@ -1,12 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Null vectors of the interiors of subdomains: motions of the interior without energy.
+r"""Null vectors of the interior of a subdomain: motions of the interior without energy.
 
 .. math:: K_{II}\, y = 0, \qquad K_{ΓI}\, y = 0
 
-If both hold, y is a null vector of the assembled matrix, which is singular. If only the first one
-holds, S does not exist. The tolerances are in ``kernel_detection``.
+If both hold, y is a null vector of the assembled matrix, which is singular. If only the first
+equation holds, S does not exist. The tolerances are in ``kernel_detection``.
 """
 
 from __future__ import annotations
@@ -34,16 +34,15 @@ from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.rounding import EPS, FORCE_ROUNDING_MARGIN
 
-#: Largest entry of the force K_ΓI y on the interface, over the largest entry of K_II times that of
-#: y, up to which it is rounding: a margin between rounding and the force of a motion that the
-#: interface resists, which is of the order of one.
+#: Largest force on the interface, max |K_ΓI y| over max |K_II| max |y|, that counts as zero. Chosen
+#: between rounding and 1, the order of the force if the interface resists the motion.
 MAX_INTERFACE_FORCE = 1e-5
 
 
 def interior_null_vectors(
     torn: Torn, schur_complements: Sequence[SchurComplement], options: FactorOptions
 ) -> Array:
-    """Return the null vectors of the assembled matrix that vanish outside of one interior.
+    """Return the null vectors of the assembled matrix that are zero outside of one interior.
 
     Args:
         torn: The torn matrix.
@@ -54,8 +53,8 @@ def interior_null_vectors(
         The null vectors on the torn dofs, (n, r).
 
     Raises:
-        RemediedFactorError: A null vector of K_II exerts a force on the interface: S does not
-            exist, although the assembled matrix may be regular.
+        RemediedFactorError: A null vector of K_II exerts a force on the interface. S does not
+            exist then, although the assembled matrix may be regular.
     """
     diagonal = np.abs(torn.diagonal())
     columns = [np.zeros((torn.n, 0))]
@@ -113,7 +112,7 @@ def _null_vectors_of_interior(
 
 
 def _are_null_vectors(K: scipy.sparse.csr_array, Y: Array, d: Array) -> Mask:
-    r"""Return a mask of the columns y that K maps to rounding errors, (r,).
+    r"""Return the mask of the columns y with a product K y of rounding errors, (r,).
 
     .. math:: \|d^{-1/2} K y\| ≤ c\, ε\, \bigl(\|d^{-1/2} \sqrt{\textstyle\sum_j K_{ij}^2 y_j^2}\|
               + \|d^{1/2} y\|\bigr)

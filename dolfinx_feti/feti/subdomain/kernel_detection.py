@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Detection of the modes without energy of one subdomain: the procedure, and its tolerances.
+r"""Detection of the modes of one subdomain without energy: the procedure, and its tolerances.
 
 A stiffness counts as zero on the scale of the absolute diagonal d of K_i, in the *equilibrated*
 matrix with a unit diagonal, and with orthonormal columns :math:`\tilde R` of :math:`d^{1/2} R`,
@@ -42,42 +42,42 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-#: Norm of a mode on the fixed dofs, over that on all dofs of the subdomain, up to which it vanishes
-#: there: the square root of rounding. Modes of subdomains far from the origin agree in up to half
-#: of their digits, so that half of the digits of their combinations are rounding.
+#: Largest norm of a mode on the fixed dofs, over that on all dofs of the subdomain, with which it
+#: counts as zero there. The square root of the machine epsilon: modes of subdomains far from the
+#: origin agree in up to half of their digits, and their combinations lose these digits.
 MAX_NORM_ON_FIXED_DOFS = 1e-8
 
-#: ‖K R ω‖ of rigid modes with random weights ω, over ρ, the mean of the diagonal of K, up to which
-#: it is rounding of the assembly. A margin, not measured: above it E and D are computed, which is
-#: as accurate, and takes some solves.
+#: Largest ‖K R ω‖ of rigid modes with random weights ω, over the mean ρ of the diagonal of K, that
+#: counts as rounding of the assembly. Not measured: above the bound E and D are computed, which is
+#: as accurate, and takes some more solves.
 MAX_RIGID_FORCE = 1e-12
 
-#: ‖K̃ ỹ‖/‖ỹ‖ of a null vector up to which it is rounding, so that D = 0. Measured: up to 8e-15 for
-#: mechanisms and for single cells, which are below the bound; 2e-13 for an island in a void with
-#: 1e-12 of the stiffness, whose D has to be computed.
+#: Largest ‖K̃ ỹ‖/‖ỹ‖ of a null vector that counts as rounding, with D = 0. Measured: up to 8e-15
+#: for mechanisms and single cells, for which D = 0 is right; 2e-13 for an island in a void with
+#: 1e-12 of the stiffness, for which D has to be computed.
 MAX_NULL_FORCE = 3e-14
 
 
 @dataclass(frozen=True, slots=True)
 class NullTolerances:
-    """When a matrix K_ρ has null vectors that are not in R.
+    """Tolerances by which a matrix K_ρ has null vectors that are not in R.
 
     Attributes:
-        max_growth: Growth of random vectors in a solve with the equilibrated matrix, ‖K̃_ρ⁻¹ x‖/‖x‖,
-            up to which there are none. The growth is about the inverse of the smallest singular
-            value, divided by the square root of n_i.
-        max_singular_value: ε, the singular value of the equilibrated matrix up to which a singular
-            vector is a null vector.
+        max_growth: Largest growth ‖K̃_ρ⁻¹ x‖/‖x‖ of random vectors, in a solve with the
+            equilibrated matrix, with which there are none. The growth is about the inverse of the
+            smallest singular value, divided by the square root of n_i.
+        max_singular_value: ε, the largest singular value of the equilibrated matrix whose singular
+            vector counts as a null vector.
     """
 
     max_growth: float
     max_singular_value: float
 
 
-#: Null vectors to rounding. A solve with a regular block whose random vectors grow by 1e11 would
-#: lose 11 of 16 digits; rounding of a block of some 1000 dofs changes singular values by 1e-13.
+#: Null vectors to rounding accuracy. If random vectors grow by 1e11, a solve loses 11 of 16 digits;
+#: rounding changes the singular values of a block of some 1000 dofs by 1e-13.
 EXACTLY_NULL = NullTolerances(max_growth=1e11, max_singular_value=1e-12)
 
-#: Modes of nearly no stiffness, in a scaled matrix. At 1e8 a solve loses eight of sixteen digits.
-#: A fresh start on the true residual (``outer_loop``) recovers them.
+#: Modes with hardly any stiffness, in a scaled matrix. At 1e8 a solve loses eight of sixteen
+#: digits, which a fresh start on the true residual recovers (``outer_loop``).
 NEARLY_NULL = NullTolerances(max_growth=1e8, max_singular_value=1e-8)

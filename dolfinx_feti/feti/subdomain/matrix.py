@@ -29,8 +29,8 @@ from dolfinx_feti.torn.matrix import Torn
 class LocalMatrix(Protocol):
     """K_i of one subdomain, (n_i, n_i), or S_i, (n_{Γ,i}, n_{Γ,i}).
 
-    Below it is called K, and the number of its rows n_i. It is valid as long as the entries of
-    ``torn.K`` are those that it was created with.
+    Below it is called K, and the number of its rows n_i. It is valid until the entries of
+    ``torn.K`` change.
     """
 
     @property
@@ -45,8 +45,8 @@ class LocalMatrix(Protocol):
     def diagonal_of_K(self) -> Array:
         """Absolute diagonal of K_i on ``dofs``, even if the matrix is S_i, (n_i,).
 
-        It is the scale on which a stiffness counts as zero. The diagonal of S_i is no such scale:
-        an entry of it is zero if a mode without energy moves that dof, and no other dof of Γ.
+        On its scale a stiffness counts as zero. The diagonal of S_i would not do: an entry is zero
+        if a mode without energy moves that dof, but no other dof of Γ.
         """
 
     def multiply(self, X: Array) -> Array:
@@ -60,9 +60,9 @@ class LocalMatrix(Protocol):
         Args:
             R: Columns, (n_i, k); orthonormal unless they are graded or there is a shift.
             rho: The stiffness ρ.
-            shift: Entries that are added to the diagonal, (n_i,).
-            is_graded: Whether the norms of the rows of R span many orders of magnitude, which some
-                factorisations do not allow (``factors.create``).
+            shift: Addend of the diagonal, (n_i,); None for zero.
+            is_graded: Whether the norms of the rows of R span many orders of magnitude. Some
+                factorisations cannot handle that (``factors.create``).
 
         Raises:
             FactorError: There is no factor.
@@ -71,8 +71,8 @@ class LocalMatrix(Protocol):
     def factor_for_preconditioner(self, R: Array, rho: float) -> Factor:
         """Factor K + ρ R Rᵀ as a preconditioner, in single precision if possible.
 
-        It is possible if K is S_i and the matrix is positive definite in single precision.
-        Otherwise the factor is that of :meth:`factor`.
+        This requires that K is an S_i, and that the matrix is positive definite in single
+        precision. Otherwise the factor is the same as that of :meth:`factor`.
         """
 
 
@@ -99,7 +99,7 @@ class SubdomainMatrix:
             analysed: The subdomain, and its symbolic factor.
             options: How PETSc factors K_i, if it does.
             diagonal_of_K: Absolute diagonal of K_i, (n_i,).
-            work: Work space of the factorisations; the subdomains share it.
+            work: Work space of the factorisations, shared by the subdomains.
         """
         self.subdomain = analysed.subdomain
         self.diagonal_of_K = diagonal_of_K
@@ -134,7 +134,7 @@ class SubdomainMatrix:
         )
 
     def factor_for_preconditioner(self, R: Array, rho: float) -> Factor:
-        """Factor K_i + ρ R Rᵀ in double precision: sparse factors have no other."""
+        """Factor K_i + ρ R Rᵀ in double precision: there are no sparse factors in single."""
         return self.factor(R, rho)
 
 
@@ -143,7 +143,7 @@ def create_subdomain_matrices(torn: Torn, analysis: Analysis) -> list[SubdomainM
 
     Args:
         torn: The torn matrix. The results refer to it, and are valid until its entries change.
-        analysis: The subdomains, with symbolic factors of K_i: the interior is kept.
+        analysis: The subdomains with symbolic factors of K_i, if the interior is kept.
     """
     diagonal = np.abs(torn.diagonal())
     work = WorkSpace()

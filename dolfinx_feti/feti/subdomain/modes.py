@@ -6,10 +6,10 @@ r"""The modes of one subdomain for one matrix: R and Y, the displacements E, and
 .. math:: K_ρ = K + ρ\, R R^⊤, \quad K^+ = (K_ρ + ρ\, Y Y^⊤)^{-1}, \quad
           E = ρ\, K^+ (R, Y), \quad D = ρ\, (I - (R, Y)^⊤ E)
 
-(eq. 39 of the paper: E = R and D = 0 if K R = 0 and there is no Y). R are rigid modes, null vectors
-and buckling modes; they are in the factor of :math:`K_ρ`. Y are soft modes, which are not. The
-columns of E are coarse displacements of the dual form, and on the interface those of the primal
-one. ``mode_search`` computes all of them.
+(eq. 39 of the paper: E = R and D = 0 if K R = 0 and there is no Y). R consists of rigid modes, null
+vectors and buckling modes, which are part of the factored :math:`K_ρ`. Y consists of soft modes,
+which are not. The columns of E span the coarse displacements of the dual form; restricted to the
+interface, they are columns of the primal one. ``mode_search`` computes all of them.
 """
 
 from __future__ import annotations
@@ -31,13 +31,12 @@ class SubdomainModes:
         R: Modes of K_ρ, (n_i, k): rigid modes, then null vectors, then buckling modes. They are
             orthonormal; in a scaled matrix (``scaled``) s times orthonormal.
         Y: Soft modes, (n_i, k_Y), orthogonal to R in the same sense.
-        E: ρ K⁺ (R, Y), (n_i, k + k_Y): in place of the kernel, which it is if K R = 0.
+        E: ρ K⁺ (R, Y), (n_i, k + k_Y). It replaces the kernel, and spans it if K R = 0.
         D: Its defect, (k + k_Y, k + k_Y); zero if K R = 0.
         stabilisation: Columns Z of K₊ = K + Z Zᵀ, (n_i, negative eigenvalues of D).
-        is_exact: Whether K R = 0 holds, and there are no soft modes: E = R, D = 0.
-        is_softened: Whether stress softens the subdomain: D has a negative eigenvalue that is
-            large in comparison with the stiffness of the interface
-            (``mode_search.MIN_SOFTENING``).
+        is_exact: Whether K R = 0, and there are no soft modes. Then E = R and D = 0.
+        is_softened: Whether stress softens the subdomain: D has a negative eigenvalue that is not
+            small compared with the stiffness of the interface (``mode_search.MIN_SOFTENING``).
         rho: The stiffness ρ.
         n_rigid: Number of rigid modes.
         n_null: Number of null vectors that are not rigid.
@@ -71,14 +70,14 @@ class SubdomainModes:
 
 
 def rigid_modes(near_kernel: Array, is_fixed: Mask) -> Array:
-    """Return the rigid modes: combinations of the near kernel that vanish on fixed dofs.
+    """Return the combinations of the near kernel that vanish on the fixed dofs.
 
     Args:
         near_kernel: The near kernel on all dofs of a subdomain, (n_all, any number).
         is_fixed: Mask of the fixed ones among them, (n_all,).
 
     Returns:
-        Orthonormal rigid modes on the free dofs, (n_i, k). K may map them to forces.
+        Orthonormal rigid modes on the free dofs, (n_i, k). K R = 0 need not hold.
     """
     if np.all(is_fixed):
         return np.zeros((0, 0))

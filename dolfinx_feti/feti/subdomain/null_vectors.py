@@ -1,15 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The null vectors of a matrix besides given modes R, to a tolerance ε (docs/theory.md).
+r"""The null vectors of a matrix other than given modes R, to a tolerance ε (docs/theory.md).
 
 .. math:: \|(\tilde K + \tilde R \tilde R^⊤)\, \tilde y\| ≤ ε\, \|\tilde y\|, \qquad
           \tilde K = d^{-1/2} K d^{-1/2}, \quad y = d^{-1/2}\, \tilde y
 
 with the absolute diagonal d, and orthonormal columns :math:`\tilde R` of :math:`d^{1/2} R`.
-``kernel_detection`` describes how they are used, and has the tolerances. K is any matrix of one
-subdomain, (n_i, n_i). All singular vectors of a small matrix are computed; those of a large one are
-approximated by inverse iteration.
+``kernel_detection`` describes how they are used, and defines the tolerances. K is any matrix of one
+subdomain, (n_i, n_i). For a small matrix all singular vectors are computed; for a large one the
+smallest are approximated by inverse iteration.
 """
 
 from __future__ import annotations
@@ -23,23 +23,21 @@ from dolfinx_feti.feti.subdomain.factors.protocol import Factor
 from dolfinx_feti.feti.subdomain.kernel_detection import EXACTLY_NULL, NullTolerances
 from dolfinx_feti.runtime.arrays import Array, ColumnMap
 
-#: Random vectors whose growth is measured. A pivot that should vanish is about 1e-15 of the
-#: diagonal by rounding, so that the growth falls short of 1e11 only if less than 1e-4 of a vector
-#: is along the null vector: with 1000 dofs the probability is 0.3 % for one vector, and 1e-5 for
-#: two.
+#: Random vectors whose growth is measured. Rounding turns a zero pivot into about 1e-15 of the
+#: diagonal. The growth is then below 1e11 only if less than 1e-4 of each vector is along the null
+#: vector. With 1000 dofs the probability of that is 0.3 % for one vector, and 1e-5 for two.
 PROBES = 2
 
-#: Dofs of a block up to which all singular vectors are computed. With 600 that takes about one
-#: second, for singular blocks only. Tests check that either method finds the same null vectors.
+#: Largest block whose singular vectors are all computed [dofs]. With 600 dofs that takes about one
+#: second, for singular blocks only. Tests check that both methods find the same null vectors.
 MAX_DOFS_FOR_SVD = 600
 
-#: Share of the diagonal that inverse iteration adds to the block, as a singular block has no
-#: factor: above the rounding of 1e-12 that a null vector has, and below the stiffness of soft
-#: modes.
+#: Share of the diagonal that inverse iteration adds to the block, because a singular block has no
+#: factor: above the singular values of null vectors, 1e-12, and below those of soft modes.
 SHIFT = 1e-9
 
-#: Vectors of inverse iteration at first; they are doubled until they contain more than the null
-#: space. A cell of P2–P0 has three null vectors.
+#: Vectors with which inverse iteration begins. Their number is doubled until they contain more than
+#: the null space. A single cell of P2–P0 has three null vectors.
 FIRST_VECTORS = 8
 
 #: Steps of inverse iteration. Each multiplies the share of a vector with the singular value σ by
@@ -50,7 +48,7 @@ STEPS = 5
 def is_numerically_singular(
     factor: Factor, d: Array, tolerances: NullTolerances = EXACTLY_NULL
 ) -> bool:
-    """Return True if random vectors grow by more than a bound in a solve, or a pivot is zero.
+    """Return True if a solve makes random vectors grow by more than a bound, or a pivot is zero.
 
     Args:
         factor: Factor of a block.
@@ -67,7 +65,7 @@ def is_numerically_singular(
 def growth(factor: Factor, d: Array) -> float:
     """Return the growth of random vectors in a solve with an equilibrated block, ‖K̃⁻¹ x‖/‖x‖.
 
-    A block K and a scaled one, s⁻¹ K s⁻¹, have the same equilibrated block: either factor serves.
+    It is the same for a block K and a scaled one, s⁻¹ K s⁻¹: their equilibrated blocks are equal.
 
     Args:
         factor: Factor of the block K, not equilibrated.
@@ -86,15 +84,15 @@ def null_vectors(
     R: Array | None = None,
     tolerances: NullTolerances = EXACTLY_NULL,
 ) -> Array:
-    """Compute the null vectors of a block K besides given modes.
+    """Compute the null vectors of a block K other than given modes.
 
     Args:
         multiply: Returns K X, (n_i, r) → (n_i, r).
         factor_shifted: Returns a factor of K + B Bᵀ + diag(σ), given B, (n_i, k), and σ, (n_i,);
-            it is destroyed here.
+            this function destroys it.
         d: Absolute diagonal of K, (n_i,).
         R: The given modes, (n_i, k); None if there are none.
-        tolerances: Singular value of the equilibrated block up to which a vector is a null vector.
+        tolerances: Largest singular value of a null vector, of the equilibrated block.
 
     Returns:
         The null vectors d^−½ ỹ with orthonormal ỹ, (n_i, any number).
@@ -132,8 +130,8 @@ def _smallest_singular_vectors(
 ) -> tuple[Array, Array]:
     """Approximate the smallest singular values and right singular vectors by inverse iteration.
 
-    The null space is complete if one of the values is larger than those of null vectors. Otherwise
-    the iteration is repeated with twice as many vectors.
+    The vectors contain the whole null space if one of their values is larger than those of null
+    vectors. Otherwise the iteration is repeated with twice as many vectors.
 
     Args:
         multiply: Applies the matrix to columns, (n_i, r) → (n_i, r).
@@ -163,7 +161,7 @@ def _singular_vectors(A: Array) -> tuple[Array, Array]:
     """
     if not np.isfinite(A).all():
         raise FactorError(
-            "products with its matrix are NaN or Inf, so that its null vectors cannot be computed"
+            "its null vectors cannot be computed: products with its matrix are NaN or Inf"
         )
     _, values, Vt = np.linalg.svd(A, full_matrices=False)
     return values, Vt.T

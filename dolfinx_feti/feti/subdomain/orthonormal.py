@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Orthonormal bases of columns, without those that depend on others.
+r"""Orthonormal bases of columns that may be linearly dependent.
 
 For columns X, (p, k), in the Euclidean scalar product,
 
@@ -11,8 +11,8 @@ for a symmetric H, (k, k), that is scaled to a unit diagonal first,
 
 .. math:: B^⊤ H B = Θ.
 
-The columns of B are coefficients of *combinations* X B of the columns X. For rows that are
-distributed over processes see ``regularity.tsqr``.
+The columns of B are the coefficients of *combinations* X B. If the rows are distributed over
+processes, see ``regularity.tsqr``.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ import scipy.linalg
 
 from dolfinx_feti.runtime.arrays import Array
 
-#: Singular value, relative to the largest one, up to which columns depend on each other: the square
-#: root of rounding. Translations and rotations of a subdomain far from the origin agree in up to
-#: half of their digits; they still count as independent.
+#: Largest singular value, relative to the largest of all, that counts as zero: the square root of
+#: the machine epsilon. Translations and rotations of a subdomain far from the origin agree in up to
+#: half of their digits, and still count as independent.
 RANK_RTOL = 1e-8
 
-#: Sine of the angle between a column and the span of others up to which it repeats them. The part
-#: of a unit column that is orthogonal to the others has rounding errors of 1e-16; at this angle
-#: that is 1e-10 of the part.
+#: Largest sine of the angle between a column and the span of others with which the column counts as
+#: dependent on them. Its orthogonal part has rounding errors of 1e-16, which at this angle are
+#: 1e-10 of that part.
 MIN_SINE = 1e-6
 
 

@@ -7,10 +7,10 @@ r"""The matrix of one subdomain, scaled if its diagonal spans many orders of mag
           K_ρ = K + ρ\, R R^⊤, \quad R = s \hat R, \quad E = s^{-1} \hat E
 
 with the absolute diagonal d, its mean :math:`\bar d`, and orthonormal columns :math:`\hat R`; D is
-the same for both. An example is a body with a void (docs/theory.md): with orthonormal R,
-:math:`ρ\, R R^⊤` would be far stiffer than the void. If the diagonal spans less, s = 1 and
-:math:`\hat K = K`. The modes are computed for :math:`\hat K`; in ``soft_modes`` and
-``mode_search`` the hats are left out.
+the same for both matrices. An example is a body with a void (docs/theory.md): with orthonormal R,
+:math:`ρ\, R R^⊤` would be far stiffer than the void. If the diagonal spans few orders of magnitude,
+s = 1 and :math:`\hat K = K`. The modes are those of :math:`\hat K`; ``soft_modes`` and
+``mode_search`` omit the hats.
 """
 
 from __future__ import annotations
@@ -27,14 +27,15 @@ from dolfinx_feti.feti.subdomain.null_vectors import growth, is_numerically_sing
 from dolfinx_feti.feti.subdomain.orthonormal import orthonormal
 from dolfinx_feti.runtime.arrays import Array
 
-#: Quotient of the largest and the smallest diagonal entry up to which a matrix is not scaled. Up to
-#: it ρ R Rᵀ costs six of sixteen digits of the smallest stiffness, at most; with half and twice of
-#: it the voids of the tests converge alike.
+#: Largest ratio of two diagonal entries of a matrix that is not scaled. At this ratio, ρ R Rᵀ costs
+#: six of sixteen digits of the smallest stiffness. With half and twice the value, the voids of the
+#: tests converge in the same way.
 MAX_DIAGONAL_RATIO = 1e6
 
-#: Relative error of a solve in single precision up to which it preconditions: the growth of random
-#: vectors times the unit of rounding. A tube of 12 subdomains at 80 mmHg takes 416 iterations with
-#: half, once and twice of it, and 415 in double precision, which takes twice the memory.
+#: Largest relative error of a solve in single precision, the growth of random vectors times
+#: :data:`SINGLE_ROUNDING`, with which the factor is used as a preconditioner. A tube of 12
+#: subdomains at 80 mmHg takes 416 iterations with this bound, half and twice of it, and 415 in
+#: double precision, which needs twice the memory.
 MAX_SINGLE_PRECISION_ERROR = 0.1
 
 
@@ -76,14 +77,14 @@ class ScaledFactor:
 
 @dataclass(frozen=True, slots=True)
 class ScaledMatrix:
-    """K̂ = s⁻¹ K s⁻¹ for K_i or S_i of one subdomain. All vectors and modes are those of K̂.
+    """K̂ = s⁻¹ K s⁻¹, where K is K_i or S_i of one subdomain. Vectors and modes are those of K̂.
 
     Attributes:
         matrix: K.
         scale: s, (n_i,); None for ones.
         diagonal_of_K: Absolute diagonal d/s² of K̂_i, even if the matrix is Ŝ_i, (n_i,).
-        stiffness: Stiffness k_Γ/s² of the interface dofs, zero on other dofs, (n_i,); without the
-            stiffness that a condensed pressure adds.
+        stiffness: Stiffness k_Γ/s² of the interface dofs, zero on other dofs, (n_i,). It excludes
+            the stiffness that a condensed pressure adds.
         allow_single_precision: Whether a factor for a preconditioner may be in single precision.
     """
 
@@ -95,7 +96,7 @@ class ScaledMatrix:
 
     @property
     def null_tolerances(self) -> NullTolerances:
-        """When vectors count as null vectors: in a scaled matrix also if they are nearly null."""
+        """Tolerances of null vectors; in a scaled matrix modes with little energy count, too."""
         return EXACTLY_NULL if self.scale is None else NEARLY_NULL
 
     def scale_modes(self, R: Array) -> Array:
@@ -152,7 +153,7 @@ class ScaledMatrix:
         return is_numerically_singular(factor.unscaled, d, self.null_tolerances)
 
     def null_vectors(self, R: Array) -> Array:
-        """Return the null vectors of K̂ besides orthonormal modes R, (n_i, r); not normalised."""
+        """Return the null vectors of K̂ other than orthonormal modes R, (n_i, r); any norm."""
 
         def factor_shifted(B: Array, shift: Array) -> ScaledFactor:
             return self.factor(B, 1.0, shift)
@@ -176,7 +177,7 @@ def scale_matrix(
         matrix: The matrix K, (n_i, n_i).
         stiffness: Stiffness of the interface dofs, zero on other dofs, (n_i,).
         allow_single_precision: Whether a factor for a preconditioner may be in single precision.
-            That of a scaled matrix may not: its modes of nearly no stiffness are below rounding.
+            That of a scaled matrix may not: its softest modes are below single rounding.
     """
     d = matrix.diagonal_of_K
     positive = d[d > 0.0]

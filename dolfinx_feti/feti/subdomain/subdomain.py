@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The dofs of one subdomain: all, the free ones, its interface Γ and its interior I.
 
-They depend on the pattern alone. The Schur complement S_i (``schur``) and the generalised inverse
-K_i⁺ (``generalized_inverse``) of a subdomain refer to its ``Subdomain``.
+They depend only on the pattern of the matrix. The Schur complement S_i (``schur``) and the
+generalised inverse K_i⁺ (``generalized_inverse``) of a subdomain refer to its ``Subdomain``.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class Subdomain:
         interface: Γ, the free dofs that are glued, (n_{Γ,i},).
         interior: I, the other free dofs, (n_{I,i},).
         is_on_interface: Mask of Γ among the free dofs, (n_i,).
-        interface_rows: Rows of Γ in an interface vector, (n_Γ,), which has the values on Γ of all
-            subdomains of this process, one after the other.
+        interface_rows: Rows of Γ in an interface vector, (n_Γ,). Such a vector has the values on Γ
+            of all subdomains of this process, one after the other.
     """
 
     number: int
@@ -43,7 +43,7 @@ class Subdomain:
 
 
 def create_subdomains(torn: Torn, glued: Indices, fixed: Mask) -> list[Subdomain]:
-    """Sort the dofs of each subdomain of this process into fixed, interface, and interior ones.
+    """Sort the dofs of the subdomains of this process into fixed, interface, and interior dofs.
 
     Collective.
 
