@@ -6,8 +6,8 @@ r"""The generalised inverse :math:`K^+ = \operatorname{diag}(K_i^+)`, exact unde
 .. math:: K^+ = (K_ρ + ρ\, Y Y^⊤)^{-1} = (I - E_Y Y^⊤)\, K_ρ^{-1}, \qquad K_ρ = K + ρ\, R R^⊤
 
 (eq. 39 of the paper, if there are no soft modes Y; docs/theory.md). It is not the pseudoinverse of
-Moore and Penrose. :math:`K_ρ` is what is factored; :math:`E_Y` are the columns of E for Y
-(``modes``). If the interior is eliminated, S takes the place of K.
+Moore and Penrose. :math:`K_ρ` is factored; :math:`E_Y` are the columns of E for Y (``modes``). If
+the interior is eliminated, S replaces K.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ from dolfinx_feti.torn.matrix import Torn
 class LocalInverse:
     """K_i⁺ of one subdomain, or S_i⁺ if the interior is eliminated, (n_i, n_i).
 
-    It does not refer to the matrix, so that it may precondition later ones. It owns the factor.
+    It owns the factor, and does not refer to the matrix: it may precondition later ones.
 
     Attributes:
         subdomain: The subdomain.
         dofs: Torn dofs of its rows: the free ones of the subdomain, or Γ, (n_i,).
-        dof_index: The same as a slice if they are consecutive, which numpy reads faster.
+        dof_index: The same dofs, as a slice if they are consecutive: numpy reads slices faster.
         modes: R, Y, E and D.
         factor: Factor of K_ρ.
     """
 
     def __init__(self, matrix: LocalMatrix, factor: Factor, modes: SubdomainModes) -> None:
-        """Copy the dofs of a matrix, and own the factor of its K_ρ.
+        """Copy the dofs of a matrix, and take over the factor of its K_ρ.
 
         Args:
             matrix: K_i, or S_i.
@@ -115,11 +115,11 @@ class GeneralizedInverse:
     """
 
     def __init__(self, blocks: Sequence[LocalInverse], errors: DeferredErrors) -> None:
-        """Own the inverses of all subdomains of this process.
+        """Take over the inverses of all subdomains of this process.
 
         Args:
             blocks: K_i⁺ of each subdomain.
-            errors: Store for the errors of solves in iterations, whose results are NaN then.
+            errors: Store for the errors of solves in iterations, which return NaN instead.
         """
         self.blocks = tuple(blocks)
         self._errors = errors
@@ -148,8 +148,8 @@ class GeneralizedInverse:
     def solve(self, y: Array) -> Array:
         """Return K⁺ y, (n,), or K⁺ Y, (n, r), for torn vectors.
 
-        It is zero on dofs without a row in a block: fixed ones and, if the interior is eliminated,
-        interior ones. It is NaN if a solve fails.
+        The result is zero on dofs that have no row in a block: on fixed dofs and, if the interior
+        is eliminated, on interior ones. It is NaN if a solve fails.
         """
 
         def solve() -> Array:
@@ -173,9 +173,9 @@ class GeneralizedInverse:
     def solve_regularised_on_interface(self, t: Array) -> Array:
         """Return K_ρ⁻¹ t restricted to the interface, for an interface vector, (n_Γ,) → (n_Γ,).
 
-        It takes less time than K⁺ t, from which it differs by a combination of the columns of E_Y.
-        A projection whose coarse space contains these removes the difference. The result is NaN if
-        a solve fails.
+        This takes less time than K⁺ t, and differs from it by a combination of the columns of E_Y.
+        A projection whose coarse space contains E_Y removes the difference. The result is NaN if a
+        solve fails.
         """
 
         def solve() -> Array:
@@ -213,11 +213,11 @@ def create_generalized_inverse(
 ) -> GeneralizedInverse:
     """Compute the modes of every subdomain of this process, and factor K_ρ.
 
-    Call it inside of ``on_subdomains``: it may fail on one process alone.
+    Call it inside of ``on_subdomains``: it may fail on a single process.
 
     Args:
-        S: The Schur complements of the current K: if they are formed, their blocks S_i are
-            inverted; otherwise the blocks K_i of ``S.torn``.
+        S: The Schur complements of the current K. If they are formed, the blocks S_i are inverted;
+            otherwise the blocks K_i of ``S.torn``.
         analysis: The subdomains, and how they are factored.
         near_kernel: The near kernel of the assembled problem on the torn dofs, (n, any number).
         fixed: Mask of the torn dofs that are fixed in the local matrices, (n,).
@@ -242,7 +242,7 @@ def create_generalized_inverse(
         for matrix, R, rigid_force in zip(matrices, rigid, rigid_forces, strict=True):
             s = matrix.subdomain
             with NumberedErrors(s.number):
-                # On Γ alone the modes are not orthonormal, and may depend on each other.
+                # Restricted to Γ the modes are not orthonormal, and may be linearly dependent.
                 if S.is_interior_eliminated:
                     R = orthonormal(R[s.is_on_interface])
                 scaled = scale_matrix(

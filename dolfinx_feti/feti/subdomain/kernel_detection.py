@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Detection of the modes of one subdomain without energy: the procedure, and its tolerances.
+r"""Detection of the zero-energy modes of one subdomain: the procedure, and its tolerances.
 
 A stiffness counts as zero on the scale of the absolute diagonal d of K_i, in the *equilibrated*
 matrix with a unit diagonal, and with orthonormal columns :math:`\tilde R` of :math:`d^{1/2} R`,

@@ -7,15 +7,15 @@ r"""All modes of one subdomain for one matrix, and the factor of :math:`K_ρ` (d
 
 for any symmetric K and orthonormal R, (n_i, k). These E and D are those of ``modes``, because
 :math:`K_ρ R = W + ρ R`; :math:`ρ\, (I - R^⊤ E)` would lose the digits of D by cancellation. If
-K R = 0, E = R and D = 0 are the paper's (eq. 39, eq. 40). R and Y depend on the current matrix
-only, not on the modes of earlier ones:
+K R = 0, E = R and D = 0 are the paper's (eq. 39, eq. 40). R and Y depend only on the current
+matrix, not on the modes of earlier ones:
 
 1. rigid modes, and null vectors if there are any (``kernel_detection``), join R;
 2. buckling modes join R, so that :math:`K_ρ` is positive definite;
 3. E and D follow;
 4. soft modes join Y and E, but not the factor (``soft_modes``).
 
-The matrix is that of ``scaled``, whose hats are left out here.
+The matrix is that of ``scaled``; the hats are omitted here.
 """
 
 from __future__ import annotations
@@ -35,22 +35,23 @@ from dolfinx_feti.feti.subdomain.soft_modes import append_soft_modes, buckling_m
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.lifetime import Lifetime
 
-#: Rounds of buckling modes of one subdomain for one matrix. Without any, the dual form of a tube of
-#: 12 subdomains at 80 mmHg takes 31797 iterations instead of 1146. One round is enough there. A
-#: second one adds modes that Lanczos' method has missed, or raises ρ where it was too small.
+#: Rounds of buckling modes of one subdomain for one matrix. Without buckling modes, the dual form
+#: of a tube of 12 subdomains at 80 mmHg takes 31797 iterations instead of 1146. One round is enough
+#: there. A second one adds modes that Lanczos' method has missed, or raises ρ if it was too small.
 MAX_BUCKLING_ROUNDS = 3
 
 #: Smallest ρ, as a multiple of the most negative eigenvalue that it has to lift above zero. With 2,
-#: the lifted eigenvalue is as far above zero as it was below; 1 would make K_ρ singular. A tube at
-#: 80 mmHg takes as many iterations with 1.1 and with 4.
+#: the lifted eigenvalue is as far above zero as it was below; with 1, K_ρ would be singular. A tube
+#: at 80 mmHg takes the same number of iterations with 1.1, 2 and 4.
 LIFT = 2.0
 
-#: Negative eigenvalue of D, over the mean stiffness of the interface dofs, from which on stress
-#: softens a subdomain. A tube of 12 subdomains at 80 mmHg takes 416 iterations in all with half,
-#: once and twice of it, and 455 if softened subdomains get no soft modes.
+#: Smallest |δ| of a negative eigenvalue δ of D, over the mean stiffness of the interface dofs, with
+#: which a subdomain counts as softened by stress. A tube of 12 subdomains at 80 mmHg takes 416
+#: iterations in all with this bound, half and twice of it, and 455 if softened subdomains get no
+#: soft modes.
 MIN_SOFTENING = 5e-4
 
-#: Negative eigenvalue of D, over ρ, up to which it is rounding of the local solves.
+#: Largest |δ| of a negative eigenvalue δ of D, over ρ, that counts as rounding of the local solves.
 DEFECT_RTOL = 1e-13
 
 
@@ -61,8 +62,8 @@ class SoftModeOptions:
     Attributes:
         max_count: Largest number of soft modes of a subdomain.
         threshold: Largest stiffness of a soft mode, over that of the interface dofs.
-        has_adaptive_columns: Whether the coarse space gets adaptive columns, as that of the primal
-            form does, unless an option switches them off.
+        has_adaptive_columns: Whether the coarse space gets adaptive columns: in the primal form,
+            unless an option switches them off.
     """
 
     max_count: int
@@ -89,7 +90,7 @@ class RegularisedMatrix:
     def is_singular(self) -> bool:
         """Return True if K_ρ is singular within the tolerances of ``kernel_detection``.
 
-        It takes a solve with random vectors.
+        The test costs a solve with random vectors.
         """
         return self.K.is_singular(self.factor)
 
@@ -115,18 +116,18 @@ def find_modes(
         K: The matrix, (n_i, n_i).
         rigid: Its orthonormal rigid modes, (n_i, k).
         rigid_force: ‖K_i R ω‖ of the rigid modes on all free dofs, with random weights ω from 1 to
-            2, as an estimate of ‖K_i R‖; not scaled.
+            2, which estimates ‖K_i R‖; not scaled.
         options: Which soft modes join Y.
 
     Returns:
-        The factor of K_ρ, without soft modes, which the caller destroys; and the modes. Both belong
-        to the matrix before it was scaled.
+        The factor of K_ρ, which the caller destroys, and the modes. Both are those of the matrix
+        before scaling.
 
     Raises:
         FactorError: K_ρ has no factor.
         SingularBlockError: K_ρ is singular although all null vectors are in R.
     """
-    with Lifetime() as factors:  # destroyed after an error; the same factor twice does no harm
+    with Lifetime() as factors:  # destroys them after an error; a factor may be destroyed twice
         without_buckling = factors.own(_regularise_with_null_vectors(K, rigid))
         K_ρ = factors.own(_append_buckling_modes(without_buckling))
         modes = _complete_modes(
@@ -141,7 +142,7 @@ def find_modes(
 
 
 def _regularise_with_null_vectors(K: ScaledMatrix, rigid: Array) -> RegularisedMatrix:
-    """Factor K_ρ with the rigid modes, and with null vectors if it is singular without.
+    """Factor K_ρ with the rigid modes, and with null vectors if it is singular without them.
 
     Args:
         K: The matrix, (n_i, n_i).
@@ -164,7 +165,7 @@ def _regularise_with_null_vectors(K: ScaledMatrix, rigid: Array) -> RegularisedM
     if null.shape[1] and K_ρ.is_singular():
         K_ρ.destroy()
         raise SingularBlockError(
-            "its matrix remains singular to rounding although its null vectors are regularised; "
+            "its matrix is singular to rounding even though its null vectors are regularised; "
             "shapes or coefficients of very different scales cause this"
         )
     return K_ρ  # regular, or, if there are no null vectors, only badly conditioned
@@ -198,10 +199,10 @@ def _factor_if_regular(K: ScaledMatrix, R: Array, rho: float) -> RegularisedMatr
 def _append_buckling_modes(K_ρ: RegularisedMatrix) -> RegularisedMatrix:
     """Append buckling modes to R, and raise ρ, until K_ρ is positive definite.
 
-    K_ρ may stay indefinite: if its solver does not report negative eigenvalues, no buckling modes
-    are computed; and after :data:`MAX_BUCKLING_ROUNDS` some may be missing. The number of negative
-    eigenvalues of the factors is then None or positive, and selects a Krylov method for indefinite
-    systems (``setup.Inertia``).
+    K_ρ may remain indefinite in two cases: if its solver does not report negative eigenvalues, no
+    buckling modes are computed; and after :data:`MAX_BUCKLING_ROUNDS` some may be missing. The
+    number of negative eigenvalues that the factor reports is then None or positive, and selects a
+    Krylov method for indefinite systems (``setup.Inertia``).
 
     Args:
         K_ρ: The matrix; destroyed if another one takes its place.
@@ -224,7 +225,7 @@ def _append_buckling_modes(K_ρ: RegularisedMatrix) -> RegularisedMatrix:
         if R.shape[1] == K_ρ.R.shape[1] and rho == K_ρ.rho:
             break  # nothing has changed
         with_buckling = RegularisedMatrix(K, R, rho, K.factor_for_preconditioner(R, rho))
-        if with_buckling.is_singular():  # then the indefinite K_ρ, which is regular, is used
+        if with_buckling.is_singular():  # keep the K_ρ without them: indefinite, but regular
             with_buckling.destroy()
             break
         K_ρ.destroy()
@@ -272,7 +273,7 @@ def _complete_modes(
         Y = _orthonormal_soft_modes(K_ρ, options)
     if Y.shape[1]:
         E, D = append_soft_modes(E, D, Y, K_ρ.solve(Y), K_ρ.rho)
-    # R and Y act as forces in K_ρ, E are displacements.
+    # R and Y are transformed like forces, E like displacements.
     R = K.unscaled_forces(K_ρ.R)
     Y = np.asfortranarray(K.unscaled_forces(Y))  # columns of Y are read one by one
     return SubdomainModes(
@@ -290,7 +291,7 @@ def _complete_modes(
 
 
 def _is_mapped_to_rounding(K: ScaledMatrix, null: Array) -> bool:
-    """Return True if the forces of null vectors y, (n_i, any number), are rounding.
+    """Return True if the forces of null vectors y, (n_i, any number), are rounding errors.
 
     The forces are those of the equilibrated matrix, ‖K̃ ỹ‖ with ỹ = d^½ y, over ‖ỹ‖.
     """
@@ -319,11 +320,11 @@ def _is_softened(K: ScaledMatrix, D: Array) -> bool:
 
 
 def _needs_soft_modes(factor: ScaledFactor, options: SoftModeOptions, *, is_softened: bool) -> bool:
-    """Return True unless adaptive columns, computed later, contain the soft modes of a subdomain.
+    """Return True unless the adaptive columns, which are computed later, contain the soft modes.
 
-    They do if stress does not soften the subdomain, S_i is formed, and none of its modes is too
-    soft for products in single precision. The last two conditions hold if the factor is in single
-    precision: only an S_i that is formed, and in which random vectors grow little, gets one.
+    They contain the soft modes if stress does not soften the subdomain, S_i is formed, and no mode
+    is too soft for single precision. A factor in single precision implies the last two conditions:
+    only a formed S_i gets one, and only if random vectors grow little in a solve.
     """
     if not options.has_adaptive_columns or is_softened:
         return True

@@ -153,7 +153,7 @@ class ScaledMatrix:
         return is_numerically_singular(factor.unscaled, d, self.null_tolerances)
 
     def null_vectors(self, R: Array) -> Array:
-        """Return the null vectors of K̂ other than orthonormal modes R, (n_i, r); any norm."""
+        """Return the null vectors of K̂ other than orthonormal modes R, (n_i, r), of any norm."""
 
         def factor_shifted(B: Array, shift: Array) -> ScaledFactor:
             return self.factor(B, 1.0, shift)
@@ -177,7 +177,7 @@ def scale_matrix(
         matrix: The matrix K, (n_i, n_i).
         stiffness: Stiffness of the interface dofs, zero on other dofs, (n_i,).
         allow_single_precision: Whether a factor for a preconditioner may be in single precision.
-            That of a scaled matrix may not: its softest modes are below single rounding.
+            That of a scaled matrix may not: its softest modes are lost in rounding.
     """
     d = matrix.diagonal_of_K
     positive = d[d > 0.0]

@@ -6,8 +6,8 @@ r"""The Schur complement of one subdomain.
 .. math:: S_i = K_{ΓΓ} - K_{ΓI} K_{II}^{-1} K_{IΓ}
 
 (eq. 51 of the paper). If the interior is kept, :math:`S_i` is *applied*, by a sparse factor of
-:math:`K_{II}`. If it is eliminated, :math:`S_i` is *formed*, and takes the place of :math:`K_i` in
-the generalised inverse.
+:math:`K_{II}`. If it is eliminated, :math:`S_i` is *formed*, and replaces :math:`K_i` in the
+generalised inverse.
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ from dolfinx_feti.runtime.arrays import Array, Indices
 class SchurComplement(ABC):
     """S_i of one subdomain, (n_{Γ,i}, n_{Γ,i}).
 
-    It is valid as long as the local matrix K has the entries that it was created with. It owns the
-    factor of K_II.
+    It is valid until the entries of the local matrix K change. It owns the factor of K_II.
 
     Attributes:
         subdomain: The subdomain.
@@ -52,7 +51,7 @@ class SchurComplement(ABC):
     def solve_interior(self, Y: Array, *, transpose: bool = False) -> Array:
         """Return K_II⁻¹ Y, or K_II⁻ᵀ Y, (n_{I,i},) or (n_{I,i}, r)."""
         if self.interior_factor is None:
-            raise RuntimeError("the interior of the subdomain is not factored: S is not applied")
+            raise RuntimeError("S cannot be applied: the interior of the subdomain is not factored")
         return self.interior_factor.solve(Y, transpose=transpose)
 
     def memory(self) -> float:
@@ -107,7 +106,7 @@ class FormedSchurComplement(SchurComplement):
         return self.subdomain.interface
 
     def multiply(self, X: Array, *, transpose: bool = False) -> Array:
-        """Return S_i X = S_iᵀ X, (n_{Γ,i}, r): S_i is formed for symmetric matrices alone."""
+        """Return S_i X = S_iᵀ X, (n_{Γ,i}, r): S_i is formed for symmetric matrices only."""
         return self.matrix.multiply_many(X)
 
     def multiply_panels(self, W: Panels, *, transpose: bool = False) -> Array:

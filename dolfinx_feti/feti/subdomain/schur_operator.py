@@ -43,9 +43,8 @@ from dolfinx_feti.torn.matrix import Torn
 class SchurOperator(ABC):
     """S of all subdomains of this process, block-diagonal, and the solves with K_II.
 
-    It is valid as long as ``torn.K`` has the entries that it was created with. If a product or
-    solve of an iteration fails, the result is NaN, and ``torn.errors`` has the error; other methods
-    raise their errors.
+    It is valid until the entries of ``torn.K`` change. If a product or solve in an iteration fails,
+    the result is NaN, and ``torn.errors`` has the error; other methods raise their errors.
 
     Attributes:
         torn: The torn matrix.
@@ -141,9 +140,9 @@ class SchurOperator(ABC):
 
     @abstractmethod
     def destroy(self) -> None:
-        """Free factors and matrices, so that the memory is free before the next matrix is factored.
+        """Free factors and matrices before the next matrix is factored.
 
-        Only the dofs remain: an old formulation may still refer to this object.
+        The dofs remain, because an old formulation may still refer to this object.
         """
 
 
@@ -153,7 +152,7 @@ class FormedSchurOperator(SchurOperator):
     is_interior_eliminated = True
 
     def __init__(self, torn: Torn, blocks: list[FormedSchurComplement]) -> None:
-        """Own the blocks of all subdomains of this process."""
+        """Take over the blocks of all subdomains of this process."""
         super().__init__(torn, [S_i.subdomain for S_i in blocks])
         self._blocks = blocks
 
@@ -187,7 +186,7 @@ class AppliedSchurOperator(SchurOperator):
     def __init__(
         self, torn: Torn, blocks: list[AppliedSchurComplement], rows: InterfaceRows | None
     ) -> None:
-        """Own the blocks of all subdomains of this process, and the rows of K.
+        """Take over the blocks of all subdomains of this process, and the rows of K.
 
         Args:
             torn: The torn matrix.
@@ -222,9 +221,9 @@ class AppliedSchurOperator(SchurOperator):
 
 
 class InterfaceRows:
-    """Rows of K on the interface of all subdomains: S t takes two products with them.
+    """Rows of K on the interfaces of all subdomains: S t takes two products with them.
 
-    Products with the blocks of each subdomain would be four for each of them.
+    With separate blocks, S t would take four products for each subdomain.
     """
 
     def __init__(self, K: PETSc.Mat, interface: Indices, *, is_symmetric: bool) -> None:
@@ -264,7 +263,7 @@ class InterfaceRows:
 def create_schur_operator(torn: Torn, analysis: Analysis) -> SchurOperator:
     """Factor all K_II of the current K, and form S if the interior is eliminated.
 
-    Call it inside of ``on_subdomains``: it may fail on one process alone.
+    Call it inside of ``on_subdomains``: it may fail on a single process.
 
     Args:
         torn: The torn matrix.
@@ -333,8 +332,8 @@ def _factor_interior(
         work: Work space.
 
     Returns:
-        The factor; and S_i, packed, (n_{Γ,i} (n_{Γ,i} + 1) / 2,), if it is a by-product of the
-        factorisation; otherwise None.
+        The factor; and S_i, packed, (n_{Γ,i} (n_{Γ,i} + 1) / 2,), or None if it is not a by-product
+        of the factorisation.
     """
     with NumberedErrors(analysed.subdomain.number):
         return factor_interior(

@@ -6,10 +6,10 @@ r"""Soft and buckling modes of a subdomain (docs/theory.md).
 .. math:: K y = μ\, k_Γ\, y, \quad μ < \text{threshold}, \qquad \text{and} \qquad
           K_ρ\, y = μ\, y, \quad μ < 0,
 
-with the stiffness :math:`k_Γ` of the interface dofs. Soft modes are computed from eigenvalues 1/μ
-of :math:`k_Γ^{1/2} K_ρ^{-1} k_Γ^{1/2}`. The modes R are not among them, as :math:`K_ρ` makes them
-stiff. Approximate eigenvectors suffice: E and D (``modes``) are exact for any columns R and Y.
-Buckling modes join R, so that :math:`K_ρ` is factored again. Soft modes join Y, without another
+with the stiffness :math:`k_Γ` of the interface dofs. Soft modes belong to the largest eigenvalues
+1/μ of :math:`k_Γ^{1/2} K_ρ^{-1} k_Γ^{1/2}`. The modes R are not among them, because :math:`K_ρ`
+stiffens them. Approximate eigenvectors suffice: E and D (``modes``) are exact for any columns R and
+Y. Buckling modes join R, and :math:`K_ρ` is factored again. Soft modes join Y, without another
 factorisation:
 
 .. math:: K^+ = (K_ρ + ρ\, Y Y^⊤)^{-1} = (I - E_Y Y^⊤)\, K_ρ^{-1}, \qquad
@@ -24,35 +24,35 @@ import scipy.sparse.linalg
 from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 from dolfinx_feti.runtime.arrays import Array, ColumnMap
 
-#: Dofs of a subdomain up to which all eigenvectors are computed, so that no mode is missed. With
-#: 200 that takes 7 ms; with 400, 27 ms.
+#: Largest subdomain of which all eigenvectors are computed, and none is missed [dofs]. That takes 7
+#: ms with 200 dofs, and 27 ms with 400.
 MAX_DOFS_FOR_EIGH = 200
 
-#: Smallest number of interface dofs of a subdomain for each of its soft modes. A memory bound: soft
-#: modes add at most a tenth of the interface dofs to the coarse problem.
+#: Interface dofs of a subdomain for each of its soft modes, at least. A memory bound: soft modes
+#: add at most a tenth of the number of interface dofs to the coarse problem.
 MIN_DOFS_PER_MODE = 10
 
-#: Relative error of an eigenvalue in Lanczos' method. An approximate eigenvector with a negative
-#: Rayleigh quotient serves as well.
+#: Relative error of an eigenvalue in Lanczos' method. An approximate eigenvector is good enough if
+#: its Rayleigh quotient is negative.
 LANCZOS_RTOL = 1e-2
 
-#: Restarts of Lanczos' method. Modes that have not converged then are computed from the matrix
+#: Restarts of Lanczos' method. Modes that have not converged by then are computed from the matrix
 #: instead of its inverse, or in the next round (``mode_search.MAX_BUCKLING_ROUNDS``).
 MAX_LANCZOS_RESTARTS = 50
 
 #: Smallest basis of Lanczos' method: SciPy's default.
 MIN_LANCZOS_VECTORS = 20
 
-#: Vectors in the basis of Lanczos' method besides two for each mode. SciPy's default is one; a
-#: larger basis needs more memory and fewer restarts.
+#: Vectors in the basis of Lanczos' method in addition to two for each mode. SciPy's default is one;
+#: a larger basis needs more memory and fewer restarts.
 SPARE_LANCZOS_VECTORS = 8
 
 #: Steps of a subspace iteration. In the dual form a tube of 12 subdomains takes 1146 iterations up
-#: to 80 mmHg; with one step 1284, as some modes are missed, and with four 1147.
+#: to 80 mmHg. One step misses some modes, with 1284 iterations; with four steps there are 1147.
 SUBSPACE_STEPS = 2
 
-#: Columns of a subspace iteration in addition to the modes that are wanted. The same tube takes
-#: 1152 iterations with two, 1146 with four, and 1149 with eight.
+#: Columns of a subspace iteration in addition to the wanted modes. The same tube takes 1152
+#: iterations with two, 1146 with four, and 1149 with eight.
 SPARE_COLUMNS = 4
 
 

@@ -7,19 +7,19 @@
 factors of its matrices; a *factor* belongs to one matrix and solves. The files of ``subdomain``
 depend on these interfaces only.
 
-A new dense factorisation is a file with a class that has the methods of ``Factor``, and a branch in
-``create.factor_dense``. A new sparse one is a file with two classes, which have the methods of
+To add a dense factorisation, write a class with the methods of ``Factor``, and a branch in
+``create.factor_dense``. To add a sparse one, write two classes with the methods of
 ``SymbolicFactor`` and of ``Factor``, and a branch in ``create.analyse_blocks``. Two conditions:
 
 - For a block with an interface it has to form S. If it cannot, leave these blocks to the present
   branch.
-- ``woodbury`` needs its ``last_dofs``, a dense block that is eliminated last. If it is empty,
-  ``create.factor_sparse`` falls back to ``petsc_factor`` for every block with modes R: add a branch
-  there that factors K + ρ R Rᵀ in another way.
+- ``woodbury`` adds a dense matrix on ``SymbolicFactor.last_dofs``. If there are none,
+  ``create.factor_sparse`` falls back to ``petsc_factor`` for every block with modes R, unless you
+  add a branch there that factors K + ρ R Rᵀ in another way.
 
-A direct solver of PETSc's needs no code, if it factors indefinite matrices, such as the bordered
-one of ``petsc_factor``: the options ``feti_local_pc_factor_mat_solver_type``, of K_ρ, and
-``feti_dirichlet_pc_factor_mat_solver_type``, of K_II, select it in place of MUMPS.
+A direct solver of PETSc needs no code if it factors indefinite matrices, such as the bordered one
+of ``petsc_factor``. The options ``feti_local_pc_factor_mat_solver_type`` (of K_ρ) and
+``feti_dirichlet_pc_factor_mat_solver_type`` (of K_II) select it instead of MUMPS.
 
 =================  ====================================================  ===========================
 file               matrix                                                factorisation

@@ -5,7 +5,7 @@ r"""Factors of dense indefinite blocks with pivoting (Bunch and Kaufman, Math. C
 
 .. math:: S_ρ = S + ρ\, R R^⊤ + \operatorname{diag} σ = L Δ L^⊤
 
-Δ has blocks of one or two rows; its negative eigenvalues are as many as those of S_ρ.
+Δ has blocks of one or two rows, and as many negative eigenvalues as S_ρ.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class BunchKaufmanFactor:
     is_single_precision = False
 
     def __init__(self, L_Δ: Array, interchanges: Indices) -> None:
-        """Own the results of LAPACK's dsytrf, L and Δ in one matrix, (n, n), and (n,), n > 0."""
+        """Take over L and Δ in one matrix, (n, n), and (n,), n > 0, as LAPACK's dsytrf returns."""
         self._L_Δ: Array | None = L_Δ
         self._interchanges = interchanges
         negative = np.count_nonzero(_eigenvalues_of_pivots(L_Δ, interchanges) < 0.0)
@@ -70,7 +70,7 @@ def factor_bunch_kaufman(
     """
     A = S.unpack_regularised(R, rho, shift)
     lwork = int(lapack.dsytrf_lwork(len(A), lower=1)[0])
-    # Without overwrite_a, dsytrf copies A, which is in the work space of S.
+    # Without overwrite_a, dsytrf copies A: the factor outlives the work space of S.
     L_Δ, interchanges, info = lapack.dsytrf(A, lower=1, lwork=lwork)
     if info:
         raise FactorError(

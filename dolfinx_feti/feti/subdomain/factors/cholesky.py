@@ -6,8 +6,8 @@ r"""Cholesky factors of dense regularised blocks, in double and in single precis
 .. math:: S_ρ = S + ρ\, R R^⊤ + \operatorname{diag} σ = L L^⊤, \qquad
           S/ρ + R R^⊤ = L L^⊤ + O(2^{-24}),
 
-L in packed format. The factor in single precision takes half the memory and half the time of a
-solve, and serves as a preconditioner (docs/theory.md).
+with L in packed format. The factor in single precision is a preconditioner. It takes half the
+memory, and half the time of a solve (docs/theory.md).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from dolfinx_feti.feti.subdomain.factors.work_space import (
 )
 from dolfinx_feti.runtime.arrays import Array
 
-#: Largest relative error of rounding to single precision, 2⁻²⁴: half the distance of 1 to the next
-#: float.
+#: Largest relative error of rounding to single precision, 2⁻²⁴: half the distance between 1 and the
+#: next float.
 SINGLE_ROUNDING = float(np.finfo(np.float32).eps) / 2.0
 
 
@@ -43,7 +43,7 @@ class CholeskyFactor:
     is_single_precision = False
 
     def __init__(self, L: PackedTriangle[np.float64], work: WorkSpace) -> None:
-        """Own L, (n, n), n > 0, and refer to a work space, which others use, too."""
+        """Take over L, (n, n), n > 0, and refer to a work space that others use as well."""
         self._L: PackedTriangle[np.float64] | None = L
         self._work = work
 
@@ -79,8 +79,8 @@ def _solve_packed(L: PackedTriangle[np.float64], y: Array) -> Array:
 class SingleCholeskyFactor:
     """L Lᵀ ≈ S/ρ + R Rᵀ in single precision, (n, n); methods are those of ``Factor``.
 
-    A right-hand side is divided by its largest entry, and its solution multiplied by that, so that
-    no physical unit exceeds the range of floats.
+    The right-hand sides are divided by their largest entry, and the solutions multiplied by it: in
+    any physical unit the numbers are within the range of floats.
 
     Attributes:
         inertia: No negative eigenvalues, and no zero pivots.
@@ -91,7 +91,7 @@ class SingleCholeskyFactor:
     is_single_precision = True
 
     def __init__(self, L: PackedTriangle[np.float32], rho: float, work: WorkSpace) -> None:
-        """Own L, (n, n), n > 0, of the matrix divided by ρ, and refer to a work space."""
+        """Take over L, (n, n), n > 0, of the matrix over ρ, and refer to a work space."""
         self._L: PackedTriangle[np.float32] | None = L
         self._rho = rho
         self._work = work
@@ -154,7 +154,7 @@ def factor_cholesky_in_single_precision(
         rho: Stiffness ρ, a mean stiffness of the block.
 
     Returns:
-        The factor; None if the matrix is not positive definite up to rounding.
+        The factor; None if the matrix is not positive definite in single precision.
     """
     X = S.unpack_regularised_in_single_precision(R, rho)
     X, info = lapack.spotrf(X, lower=1, overwrite_a=1, clean=0)

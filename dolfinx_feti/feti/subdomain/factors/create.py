@@ -24,12 +24,12 @@ preconditioner                      single precision
 ==================================  ======================  =======================================
 
 A block has a symbolic factor (:func:`analyse_blocks`) if its matrix is symmetric, its options name
-no other solver, PETSc has 32-bit indices, and the C code can be compiled. Two other places choose:
-``interior`` looks for null vectors of a singular K_II with ``petsc_factor``, and ``coarse.solver``
-factors the coarse matrix by fronts, or by PETSc.
+no other solver, PETSc has 32-bit indices, and the C code can be compiled. Two other modules choose
+for themselves: ``interior`` searches for null vectors of a singular K_II with ``petsc_factor``, and
+``coarse.solver`` factors the coarse matrix by fronts, or by PETSc.
 
-The multifrontal method is code of this package. On a subdomain of 3000 dofs it eliminates the
-interior and forms S in a sixth of the time of MUMPS, and factors K in half of it, with half the
+The multifrontal code is part of this package. For a subdomain of 3000 dofs it eliminates the
+interior and forms S in a sixth of the time of MUMPS; it factors K in half the time, with half the
 memory (docs/results/factors.md).
 """
 
@@ -89,7 +89,8 @@ def analyse_blocks(
     Args:
         torn: The torn matrix K, (n, n).
         blocks: Torn dofs of each block, ascending, (n_i,).
-        interfaces: Places in each block of the dofs that are not eliminated, ascending.
+        interfaces: Dofs of each block that are not eliminated, as indices into the block,
+            ascending.
         options: Options of the factors, which may name a solver of PETSc.
 
     Returns:
@@ -98,7 +99,7 @@ def analyse_blocks(
     Raises:
         SetUpError: The analysis of a block failed; on all processes.
     """
-    # With indices of 64 bits the rows of K would be copied for every factor of every block.
+    # With 64-bit indices the whole K would be copied for every factor of every block.
     if not options.is_symmetric or not reads_in_place():
         return [None] * len(blocks)
     code = multifrontal_code(options.solver, torn.comm)
@@ -164,19 +165,19 @@ def factor_interior(
     symbolic: SymbolicFactor | None,
     work: WorkSpace,
 ) -> tuple[Factor, Array | None]:
-    """Factor K_II of a subdomain; form S if that is a by-product.
+    """Factor K_II of a subdomain; form S if the factorisation yields it.
 
     Args:
         K: Sequential matrix of all subdomains, (n, n).
         rows: Rows and columns of the interior, (n_{I,i},).
         options: Settings of the solver of PETSc.
-        symbolic: Symbolic factor of the subdomain with its interface, if S is wanted, or of its
-            interior alone; None if it has none.
+        symbolic: Symbolic factor of the subdomain with its interface, if S is wanted, or of the
+            interior; None if there is none.
         work: Work space.
 
     Returns:
-        The factor of K_II; and the Schur complement on the interface of the symbolic factor, S,
-        packed, (n_{Γ,i} (n_{Γ,i} + 1) / 2,), None after a factorisation by PETSc.
+        The factor of K_II; and the Schur complement S on the interface of the symbolic factor,
+        packed, (n_{Γ,i} (n_{Γ,i} + 1) / 2,), or None after a factorisation by PETSc.
 
     Raises:
         FactorError: The factorisation failed.
@@ -211,7 +212,7 @@ def factor_dense(S: PackedMatrix, R: Array, rho: float, shift: Array | None = No
 
 
 def factor_dense_for_preconditioner(S: PackedMatrix, R: Array, rho: float) -> Factor:
-    """Factor a dense block S + ρ R Rᵀ, in single precision if it is definite in that.
+    """Factor a dense block S + ρ R Rᵀ, in single precision if it is positive definite there.
 
     Args:
         S: The block, (n, n).
@@ -219,7 +220,7 @@ def factor_dense_for_preconditioner(S: PackedMatrix, R: Array, rho: float) -> Fa
         rho: Stiffness ρ, a mean stiffness of the block.
 
     Returns:
-        The factor; its ``is_single_precision`` is False if the matrix was not definite.
+        The factor, in double precision if the matrix is not positive definite in single precision.
 
     Raises:
         FactorError: A pivot is zero.

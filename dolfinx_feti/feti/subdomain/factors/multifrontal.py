@@ -8,9 +8,9 @@ r"""The Schur complement and the factor of the interior in one sweep: the multif
               \begin{pmatrix} U & W \\ & S \end{pmatrix}, \qquad
           K_{II} = U^⊤ U, \qquad S = K_{ΓΓ} - W^⊤ W
 
-(eq. 51; Duff and Reid 1983; Liu 1992; docs/theory.md). The fronts are found once for a pattern and
-serve all its matrices: :class:`Fronts` is a ``SymbolicFactor``. The algorithm is C
-(``multifrontal.c``); its data types and contracts are in ``multifrontal.h``.
+(eq. 51; Duff and Reid 1983; Liu 1992; docs/theory.md). The fronts depend only on the pattern, and
+are found once for all its matrices: :class:`Fronts` is a ``SymbolicFactor``. The algorithm is in C
+(``multifrontal.c``); ``multifrontal.h`` documents its data types and contracts.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ class FrontCode:
 
         Args:
             kind: Name of its type.
-            fields: Numbers and arrays. The struct does not keep the arrays: the caller refers to
-                them until the last call of C with the struct.
+            fields: Numbers and arrays. The struct does not keep the arrays alive: the caller has
+                to, until the last call of C with the struct.
         """
         values = {
             name: self.pointer(value) if isinstance(value, np.ndarray) else value

@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Order of elimination by nested dissection: METIS (Karypis and Kumar 1998) or PETSc.
 
-METIS is called in the library that PETSc is linked with. If there is none, PETSc's own dissection
-orders the nodes, and a factorisation takes about 1.5 times as many operations.
+METIS is called in the library that PETSc is linked with. Without that library, PETSc's own
+dissection orders the nodes, and a factorisation takes about 1.5 times as many operations.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ SEED = 1998
 def nested_dissection(ptr: Indices, adjacent: Indices, interior: Indices) -> Indices:
     """Return the nodes of the interior in the order of their elimination.
 
-    METIS needs a symmetric graph. One that is not, of a matrix with a symmetric pattern whose zeros
-    are stored on one side only, is ordered by PETSc.
+    METIS needs a symmetric graph. PETSc orders a graph that is not symmetric, as of a symmetric
+    matrix that stores some zeros on one side only.
 
     Args:
         ptr: Place of the first neighbour of each node, (nodes + 1,).
@@ -65,7 +65,7 @@ def _is_symmetric(row: Indices, column: Indices, n: int) -> bool:
     """Return True if (j, i) is among the pairs for each pair (i, j), all below n.
 
     The sums of products of random 64-bit numbers over all (i, j) and over all (j, i) agree, modulo
-    2⁶⁴. For other sets of pairs they agree with a probability of about 2⁻⁶⁴.
+    2⁶⁴. If the graph is not symmetric, they agree with a probability of about 2⁻⁶⁴.
     """
     x, y = np.random.default_rng(SEED).integers(2**63, size=(2, n), dtype=np.uint64)
     return bool(np.sum(x[row] * y[column]) == np.sum(x[column] * y[row]))

@@ -5,7 +5,7 @@ r"""The dense matrix :math:`S_i` in packed format: products, and copies for a fa
 
 .. math:: S X, \qquad S_ρ = S + ρ\, R R^⊤ + \operatorname{diag} σ
 
-A product with one or a few columns reads the packed triangle; others unpack it into a work space.
+Products with one or a few columns read the packed triangle; others unpack it into a work space.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from dolfinx_feti.feti.subdomain.factors.work_space import PackedTriangle, WorkS
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.runtime.arrays import Array, Single
 
-#: Columns up to which a product or solve reads the packed triangle once for each column, rather
-#: than unpack it once. Both ways take the same time with 4 columns for 300 rows, 5 for 1000, and 6
-#: to 8 for 2000 rows. With 3 or 12 instead of 6, products with numbers of columns in between take
-#: up to 1.8 times as long.
+#: Largest number of columns for which a product or solve reads the packed triangle, once for each
+#: column, instead of unpacking it. Both ways take the same time with 4 columns for 300 rows, 5 for
+#: 1000, and 6 to 8 for 2000 rows. With 3 or 12 instead of 6, products with numbers of columns in
+#: between take up to 1.8 times as long.
 MAX_PACKED_COLUMNS = 6
 
 #: Rows of a tile that is transposed at once. Two tiles of 96² doubles, 144 KiB, fit into the
@@ -42,7 +42,7 @@ class PackedMatrix:
     """
 
     def __init__(self, values: Array, n: int, work: WorkSpace) -> None:
-        """Refer to the entries, which do not change, without copying them.
+        """Refer to the entries without copying them; nobody may change them.
 
         Raises:
             FactorError: An entry is NaN or Inf.
@@ -107,13 +107,13 @@ class PackedMatrix:
         return blas.ssyrk(1.0, R.astype(np.float32), beta=1.0, c=X, lower=1, overwrite_c=1)
 
     def copy_in_single_precision(self, square: Single) -> Single:
-        """Return S in single precision, its lower triangle, in memory of the caller.
+        """Write the lower triangle of S in single precision into memory of the caller.
 
         Args:
-            square: At least n² entries, which the result refers to.
+            square: The memory, of at least n² entries.
 
         Returns:
-            The matrix, (n, n) in Fortran's order; entries above the diagonal are arbitrary.
+            A view of it, (n, n) in Fortran's order; entries above the diagonal are arbitrary.
         """
         unpack(self.values.astype(np.float32), self.n, square)
         return square[: self.n**2].reshape((self.n, self.n), order="F")

@@ -8,8 +8,8 @@ r"""Factors of sparse regularised blocks by MUMPS, with pivoting, or another dir
           \quad ⟺ \quad (K + ρ R R^⊤)\, x = y, \; μ = R^⊤ x,
 
 by :math:`L Δ L^⊤`, or :math:`L U` for an unsymmetric K. The border ρ R keeps the matrix sparse. The
-bordered matrix is congruent to :math:`\operatorname{diag}(K + ρ R R^⊤, -ρ I)`, so that the k
-columns of R add k negative eigenvalues, which are subtracted from those of Δ.
+bordered matrix is congruent to :math:`\operatorname{diag}(K + ρ R R^⊤, -ρ I)`. The k columns of R
+therefore add k negative eigenvalues, which are subtracted from the number that the solver reports.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def factor_by_petsc(
     """
     if len(rows) == 0:
         return EmptyFactor()
-    matrix = _shifted_block(K, rows, shift)  # the two functions below replace and destroy it
+    matrix = _shifted_block(K, rows, shift)  # _bordered and _upper_triangle replace and destroy it
     n_border = 0 if R is None else R.shape[1]
     if R is not None and n_border:
         matrix = _bordered(matrix, R, rho)

@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Direct solvers of PETSc, as a PC or a KSP: retries with more work space, inertia, failures.
 
-MUMPS factors unless the options name another solver. Control parameters (ICNTL, CNTL) and reports
-(INFOG) are numbered as in the MUMPS Users' Guide.
+The solver is MUMPS unless the options name another one. Its control parameters (ICNTL, CNTL) and
+reports (INFOG) are numbered as in the MUMPS Users' Guide.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.factors.protocol import FactorInertia
 from dolfinx_feti.feti.subsolver_options import DirectOptions
 
-#: Work space of MUMPS above its estimate [%], one attempt after the other. Pivots that are delayed
-#: for stability need it. Most matrices need none, and 10 % serves them; MUMPS's own default of 20
-#: to 30 % would cost that memory for each subdomain. The last one is a bound on memory, eleven
-#: times the estimate.
+#: Work space of MUMPS above its estimate [%], in consecutive attempts. Pivots that are delayed for
+#: stability need it. Most matrices delay none: 10 % suffices, and saves memory compared with
+#: MUMPS's own default of 20 to 30 %. The last value bounds the memory at eleven times the estimate.
 WORK_SPACE = (10, 50, 200, 1000)
 
 #: A direct solver: the PC of a subdomain, or the KSP of the coarse problem.
@@ -30,8 +29,8 @@ Solver = TypeVar("Solver", PETSc.PC, PETSc.KSP)
 
 FailedReason = PETSc.PC.FailedReason
 
-#: Remedies by the option that they change; {} is the options prefix. The first one is also tried
-#: here, with :data:`WORK_SPACE`.
+#: Remedies for lack of memory; {} is the options prefix. The first one is tried automatically, with
+#: :data:`WORK_SPACE`.
 MORE_WORK_SPACE = "raise -{}mat_mumps_icntl_14, the work space in percent"
 FACTORS_ON_DISK = "set -{}mat_mumps_icntl_22 1, which stores factors on disk"
 HIGHER_LIMIT = "raise -{}mat_mumps_icntl_23, the limit in MB, or leave it out"
@@ -108,7 +107,7 @@ def factor_matrix(matrix: PETSc.Mat, options: FactorOptions) -> PETSc.PC:
 def set_up_with_retries(
     create: Callable[[], Solver], configure: Callable[[Solver, int], None]
 ) -> Solver:
-    """Create and set up a solver, again with more work space while MUMPS runs out of it.
+    """Create and set up a solver; repeat that with more work space while MUMPS runs out of it.
 
     Collective on the communicator of the solver.
 
@@ -173,7 +172,7 @@ def _failure_of(solver: PETSc.PC | PETSc.KSP) -> _Failure | None:
         return _Failure(failure_message(pc), is_out_of_memory, needs_work_space)
     finally:
         if pc is not solver:
-            pc.destroy()  # this reference to the PC of the KSP, on all processes together
+            pc.destroy()  # only this reference; the KSP keeps its PC
 
 
 def set_default_solver(pc: PETSc.PC, is_symmetric: bool) -> None:
@@ -182,14 +181,14 @@ def set_default_solver(pc: PETSc.PC, is_symmetric: bool) -> None:
     pc.setFactorSolverType(PETSc.Mat.SolverType.MUMPS)
 
 
-def set_mumps_controls(pc: PETSc.PC, percent: int, zero: float | None = None) -> None:
+def set_mumps_controls(pc: PETSc.PC, percent: int, zero_pivot: float | None = None) -> None:
     """Set the work space of MUMPS and let it count zero pivots; do nothing for other solvers.
 
     Args:
         pc: A preconditioner with its operators.
         percent: Work space above the estimate [%], ICNTL(14).
-        zero: Multiple of the norm of the matrix below which a pivot counts as zero, CNTL(3); None
-            for exact zeros.
+        zero_pivot: Largest pivot that counts as zero, as a multiple of the norm of the matrix,
+            CNTL(3); None for exact zeros.
     """
     if not is_mumps(pc):
         return
@@ -197,8 +196,8 @@ def set_mumps_controls(pc: PETSc.PC, percent: int, zero: float | None = None) ->
     F = pc.getFactorMatrix()
     F.setMumpsIcntl(14, percent)
     F.setMumpsIcntl(24, 1)  # count zero pivots instead of dividing by them
-    if zero is not None:
-        F.setMumpsCntl(3, zero)
+    if zero_pivot is not None:
+        F.setMumpsCntl(3, zero_pivot)
 
 
 def solve_columns(pc: PETSc.PC, B: PETSc.Mat, X: PETSc.Mat, *, transpose: bool = False) -> None:

@@ -6,9 +6,9 @@ r"""Interfaces of the factorisations of one subdomain: symbolic factors, and fac
 .. math:: x = (K + ρ\, R R^⊤ + \operatorname{diag} σ)^{-1} y
 
 with columns R, (n_i, k), a stiffness ρ and a shift σ, each of which may be absent. R is orthonormal
-where a subdomain is regularised, but not in the search for null vectors (``null_vectors``). A
-symbolic factor belongs to the pattern of K and serves all its matrices; a factor belongs to one
-matrix, refers to none, and stays as it is if the matrix changes.
+if it regularises a subdomain, but not in the search for null vectors (``null_vectors``). A symbolic
+factor belongs to the pattern of K, and factors all matrices with this pattern. A factor belongs to
+one matrix. It does not refer to the matrix, and does not change with it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Factor(Protocol):
 
     @property
     def inertia(self) -> FactorInertia:
-        """Numbers of negative eigenvalues and of zero pivots; they outlive ``destroy``."""
+        """Numbers of negative eigenvalues and of zero pivots, known after ``destroy`` as well."""
 
     @property
     def is_single_precision(self) -> bool:
@@ -64,7 +64,7 @@ class Factor(Protocol):
         """
 
     def memory(self) -> float:
-        """Return the memory of the factor in MiB; zero if it is not known, or destroyed."""
+        """Return the memory of the factor in MiB; zero if it is unknown, or destroyed."""
 
     def destroy(self) -> None:
         """Free the memory of the factor; further calls do nothing."""
@@ -83,17 +83,18 @@ class Elimination(Protocol):
 
 
 class SymbolicFactor(Protocol):
-    """What the pattern of one sparse symmetric block determines; immutable.
+    """The symbolic factorisation of one sparse symmetric block, (n_i, n_i); immutable.
 
-    The block is that of a subdomain, with its interface Γ or without, (n_i, n_i).
+    It depends only on the pattern of the block, which belongs to a subdomain, with its interface Γ
+    or without.
     """
 
     @property
     def last_dofs(self) -> Numbers:
-        """Interior dofs that are eliminated last, (p,), by their places in the interior.
+        """Interior dofs that are eliminated last, (p,), as indices into the interior.
 
-        They form one dense block of the factor: adding a dense matrix to K_II on these dofs adds no
-        entries to the factor. Empty if the factorisation has no such block.
+        They form one dense block of the factor: a dense matrix can be added to K_II on these dofs
+        without further entries in the factor. Empty if the factorisation has no such block.
         """
 
     def factor(

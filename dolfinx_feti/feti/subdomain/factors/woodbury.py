@@ -1,18 +1,18 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Factors of sparse :math:`K_ρ = K + ρ\, R R^⊤`, which is dense, by those of a sparse matrix.
+r"""Factors of the dense :math:`K_ρ = K + ρ\, R R^⊤` by those of a sparse matrix :math:`K_Q`.
 
 .. math:: K_Q = K + ρ\, Q Q^⊤, \qquad
           K_ρ^{-1} y = z - Z C V^⊤ z, \qquad z = K_Q^{-1} y, \qquad C = (Λ^{-1} + V^⊤ Z)^{-1}
 
 with V = (R, Q), :math:`Z = K_Q^{-1} V`, :math:`Λ = \operatorname{diag}(ρ I, -ρ I)` (Sherman,
 Morrison and Woodbury; docs/theory.md). Q is an orthonormal basis of R on the dofs that are
-eliminated last, and zero elsewhere: these dofs are one dense block of the factor, so that
-:math:`ρ\, Q Q^⊤` adds no entries to it.
+eliminated last, and zero elsewhere. These dofs are one dense block of the factor, to which
+:math:`ρ\, Q Q^⊤` adds no entries.
 
 The bordered matrix :math:`\begin{pmatrix} K_Q & V \\ V^⊤ & -Λ^{-1} \end{pmatrix}` has the Schur
-complements :math:`-C^{-1}` and :math:`K_Q + V Λ V^⊤ = K_ρ`. Its inertia counted both ways gives
+complements :math:`-C^{-1}` and :math:`K_Q + V Λ V^⊤ = K_ρ`. Counting its inertia both ways gives
 (Haynsworth 1968)
 
 .. math:: n_-(K_ρ) = n_-(K_Q) + n_+(C^{-1}) - k, \qquad n_-(K_Q) = 0.
@@ -36,8 +36,8 @@ from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.petsc_library import CSRMatrix
 
 #: Smallest singular value of R on the last dofs, relative to the largest one, with which K_Q is
-#: factored. The condition number of K_Q is that of K_ρ times its inverse square, 10⁴ at the bound,
-#: so that four of sixteen digits are lost. Separators of 64 dofs or more have 0.1 to 1.
+#: factored. The condition number of K_Q is that of K_ρ times the inverse square of this ratio: at
+#: the bound four of sixteen digits are lost. Separators of 64 dofs or more have ratios of 0.1 to 1.
 MIN_SINGULAR_VALUE = 1e-2
 
 
@@ -87,7 +87,7 @@ class WoodburyFactor:
         correction: Correction | None,
         inertia: FactorInertia,
     ) -> None:
-        """Own the factor of K_Q; the correction is None without modes, if K_ρ = K_Q = K."""
+        """Take over the factor of K_Q. Without modes K_ρ = K_Q = K, and the correction is None."""
         self.inertia = inertia
         self.last_dofs = last_dofs
         self._factor: Factor | None = factor
@@ -121,10 +121,10 @@ def factor_by_woodbury(
     """Factor K + ρ R Rᵀ of a subdomain.
 
     Args:
-        symbolic: Symbolic factor of its block of K, all of which is eliminated: no interface.
+        symbolic: Symbolic factor of its block of K, without an interface: all dofs are eliminated.
         K: Matrix of all subdomains of the process, (n, n).
-        R: Orthonormal columns, (n_i, k), not much larger on some dofs than on others: the
-            condition number of K_Q grows with the ratio.
+        R: Orthonormal columns, (n_i, k), of a similar size on all dofs: the condition number of K_Q
+            grows with the ratio of the sizes.
         rho: Stiffness ρ.
         work: Work space.
 

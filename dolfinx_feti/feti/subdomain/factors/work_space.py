@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Packed triangles, and the work space that factorisations and products share.
 
-LAPACK's packed format has the lower triangle column by column, (n (n + 1) / 2,), half the memory of
-a square. Level 3 of BLAS needs the square, so that it is unpacked into a work space.
+LAPACK's packed format stores the lower triangle column by column, (n (n + 1) / 2,), in half the
+memory of the square. BLAS of level 3 needs the square: the triangle is unpacked into a work space.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Real = TypeVar("Real", np.float32, np.float64)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedTriangle(Generic[Real]):
-    """The lower triangle of a matrix, (n, n), in packed format; entries do not change.
+    """The lower triangle of a matrix, (n, n), in packed format; its entries do not change.
 
     Attributes:
         entries: The entries in double or single precision, (n (n + 1) / 2,).
@@ -45,9 +45,9 @@ class PackedTriangle(Generic[Real]):
 class WorkSpace:
     """Memory that the dense and sparse blocks of one process use in turn.
 
-    It grows to the largest request. An array that a method returns is valid until the next call of
-    any method. As several objects share the space, each uses the array before it returns, and does
-    not keep it. Not for several threads.
+    It grows to the largest request. A returned array is valid until the next call of any method.
+    Several objects share the space: a method that requests an array uses it before it returns, and
+    does not store it. Not thread-safe.
     """
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class WorkSpace:
         self._unpacked: PackedTriangle[np.float32] | PackedTriangle[np.float64] | None = None
 
     def entries(self, count: int) -> Array:
-        """Return entries of arbitrary values for the caller to overwrite, (count,)."""
+        """Return memory for the caller to overwrite, (count,), with arbitrary values."""
         self._unpacked = None
         if len(self._entries) < count:
             self._entries = np.empty(0)  # freed before more is allocated
@@ -78,7 +78,7 @@ class WorkSpace:
         """Unpack a triangle for a caller that only reads it, like :meth:`unpack_copy`.
 
         If the space still contains this triangle, it is not unpacked again: a factor that solves
-        several times in a row unpacks L once.
+        several times in a row unpacks L only once.
         """
         n = triangle.n
         if self._unpacked is not triangle:
