@@ -26,9 +26,9 @@ from petsc4py import PETSc
 from dolfinx_feti.feti.interface.scaling import SCALINGS
 from dolfinx_feti.feti.preconditioners.registry import PRECONDITIONERS
 from dolfinx_feti.feti.subsolver_options import (
-    COARSE,
-    DUAL,
-    SUBSOLVERS,
+    COARSE_PREFIX,
+    DUAL_PREFIX,
+    OPTIONS_OF_SUBSOLVERS,
     SubsolverOptions,
     options_under,
 )
@@ -233,12 +233,12 @@ def check_petsc_options(prefix: str) -> None:
         ValueError: A number is not of its kind, the dual form does not support the Krylov method or
             has no norm to test, or ``pc_type`` names a preconditioner of PETSc's.
     """
-    for solver in (prefix, f"{prefix}feti_{DUAL}", f"{prefix}feti_{COARSE}"):
+    for solver in (prefix, f"{prefix}feti_{DUAL_PREFIX}", f"{prefix}feti_{COARSE_PREFIX}"):
         for name, kind in PETSC_NUMBERS.items():
             is_unlimited = PETSc.Options(solver).getString(name, "") == "unlimited"
             if not (kind.is_count and is_unlimited):
                 _read_number(solver, name, kind, 0)  # raises the error; PETSc reads the value
-    _check_dual_method(f"{prefix}feti_{DUAL}")
+    _check_dual_method(f"{prefix}feti_{DUAL_PREFIX}")
     pc_type = PETSc.Options(prefix).getString("pc_type", "none")
     if pc_type != "none":
         raise ValueError(
@@ -307,7 +307,7 @@ def _reject_unknown(prefix: str) -> None:
     """Raise a ValueError for an option with the prefix ``…feti_`` that does not exist."""
     known = [field.name for field in fields(FETIOptions)]
     of_subsolvers = tuple(
-        subsolver + start for subsolver, starts in SUBSOLVERS.items() for start in starts
+        subsolver + start for subsolver, starts in OPTIONS_OF_SUBSOLVERS.items() for start in starts
     )
     for name in options_under(prefix):
         if name in known or name.startswith(of_subsolvers):
@@ -325,7 +325,7 @@ def known_options() -> list[str]:
     names += [f"snes_{name}" for name in SNES_OPTIONS]
     names += PETSC_NUMBERS
     names += [f"feti_{field.name}" for field in fields(FETIOptions)]
-    for subsolver, starts in SUBSOLVERS.items():
+    for subsolver, starts in OPTIONS_OF_SUBSOLVERS.items():
         if "ksp_" in starts:
             names += [f"feti_{subsolver}ksp_{name}" for name in KSP_OPTIONS]
         if "pc_" in starts:

@@ -45,8 +45,8 @@ class Pattern:
             creates another pattern if a later matrix differs in it.
         bodies: The connected components of the assembled problem.
         gluing: The jumps B.
-        fixed: Mask of the torn dofs that are fixed in the local matrices, (n,): Dirichlet dofs in
-            classical FETI, none in all-floating FETI.
+        is_fixed: Mask of the torn dofs that are fixed in the local matrices, (n,): Dirichlet dofs
+            in classical FETI, none in all-floating FETI.
         analysis: The subdomains, and how their blocks are factored.
         symmetric_part_analysis: The same for ½ (K + Kᵀ), if K is not symmetric.
     """
@@ -57,7 +57,7 @@ class Pattern:
     is_symmetric: bool
     bodies: Bodies
     gluing: Gluing
-    fixed: Mask
+    is_fixed: Mask
     analysis: Analysis
     symmetric_part_analysis: Analysis | None
 
@@ -94,8 +94,8 @@ def create_pattern(
         _require_primal(options, subsolvers)
     with event("FETIGluing"):
         gluing = pattern_objects.own(Gluing(torn, all_floating=options.all_floating))
-    fixed = np.zeros(torn.n, dtype=bool) if options.all_floating else torn.is_dirichlet_copy
-    subdomains = create_subdomains(torn, gluing.interface_dofs, fixed)
+    is_fixed = np.zeros(torn.n, dtype=bool) if options.all_floating else torn.is_dirichlet_copy
+    subdomains = create_subdomains(torn, gluing.interface_dofs, is_fixed)
 
     symmetric_part_analysis: Analysis | None = None
     with event("FETIFactor"):
@@ -112,7 +112,7 @@ def create_pattern(
         is_symmetric=is_symmetric,
         bodies=find_bodies(torn),
         gluing=gluing,
-        fixed=fixed,
+        is_fixed=is_fixed,
         analysis=analysis,
         symmetric_part_analysis=symmetric_part_analysis,
     )

@@ -153,7 +153,7 @@ def _set_up_inverse(
             operator,
             pattern.analysis,
             near_kernel,
-            pattern.fixed,
+            pattern.is_fixed,
             options,
             allow_single_precision=is_primal,
         )

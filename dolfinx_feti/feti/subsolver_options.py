@@ -17,23 +17,23 @@ from petsc4py import PETSc
 from dolfinx_feti.feti.krylov_limits import GMRES_DIRECTIONS
 
 #: Prefix of the Krylov method for (λ, s), after ``…feti_``.
-DUAL = "dual_"
+DUAL_PREFIX = "dual_"
 
 #: Prefix of the factors of K_ρ.
-LOCAL = "local_"
+LOCAL_PREFIX = "local_"
 
 #: Prefix of the factors of K_II.
-DIRICHLET = "dirichlet_"
+DIRICHLET_PREFIX = "dirichlet_"
 
 #: Prefix of the solver of the coarse matrix N or A₀.
-COARSE = "coarse_"
+COARSE_PREFIX = "coarse_"
 
 #: Prefixes of the sub-solvers, and those of the options that PETSc reads for them.
-SUBSOLVERS = {
-    DUAL: ("ksp_",),
-    LOCAL: ("pc_", "mat_"),
-    DIRICHLET: ("pc_", "mat_"),
-    COARSE: ("ksp_", "pc_", "mat_"),
+OPTIONS_OF_SUBSOLVERS = {
+    DUAL_PREFIX: ("ksp_",),
+    LOCAL_PREFIX: ("pc_", "mat_"),
+    DIRICHLET_PREFIX: ("pc_", "mat_"),
+    COARSE_PREFIX: ("ksp_", "pc_", "mat_"),
 }
 
 #: No limit: the largest integer of PETSc with 32-bit integers.
@@ -119,10 +119,10 @@ def read_subsolver_options(prefix: str) -> SubsolverOptions:
     feti_prefix = f"{prefix}feti_"
     return SubsolverOptions(
         feti_prefix,
-        dual=read_krylov_options(feti_prefix + DUAL),
-        local=read_direct_options(feti_prefix + LOCAL),
-        dirichlet=read_direct_options(feti_prefix + DIRICHLET),
-        coarse=read_direct_options(feti_prefix + COARSE),
+        dual=read_krylov_options(feti_prefix + DUAL_PREFIX),
+        local=read_direct_options(feti_prefix + LOCAL_PREFIX),
+        dirichlet=read_direct_options(feti_prefix + DIRICHLET_PREFIX),
+        coarse=read_direct_options(feti_prefix + COARSE_PREFIX),
     )
 
 

@@ -42,7 +42,7 @@ from dolfinx_feti.torn.connectivity import block_graph, connected_blocks, diagon
 from dolfinx_feti.torn.symmetry import is_symmetric
 
 #: Name of the IS of global dofs with a prescribed value that is attached to a torn matrix.
-DIRICHLET = "dirichlet"
+DIRICHLET_DOFS = "dirichlet"
 
 #: Name of the Vec with the stiffness of each torn dof for the stiffness scaling, (n,).
 STIFFNESS = "stiffness"
@@ -110,7 +110,7 @@ def create_torn_matrix(
     A.assemble()
     if dirichlet is not None:
         dofs = np.asarray(dirichlet, dtype=PETSc.IntType)
-        A.compose(DIRICHLET, PETSc.IS().createGeneral(dofs, comm=comm))
+        A.compose(DIRICHLET_DOFS, PETSc.IS().createGeneral(dofs, comm=comm))
     if stiffness is not None:
         A.compose(STIFFNESS, PETSc.Vec().createWithArray(stiffness.copy(), comm=PETSc.COMM_SELF))
     return A
@@ -226,7 +226,7 @@ def version_of(A: PETSc.Mat) -> MatrixVersion:
     maps = A.getLGMap()
     spaces = (A.getNearNullSpace(), A.getNullSpace())
     modes = [mode for space in spaces if space.handle for mode in space.getVecs()]
-    dirichlet = A.query(DIRICHLET)
+    dirichlet = A.query(DIRICHLET_DOFS)
     stiffness = A.query(STIFFNESS)
     coordinates = A.query(COORDINATES)
     vectors = [vector for vector in (stiffness, coordinates) if vector is not None]
@@ -250,7 +250,7 @@ def version_of(A: PETSc.Mat) -> MatrixVersion:
 def read_dirichlet_mask(A: PETSc.Mat) -> Mask:
     """Return the mask of the dofs of a torn matrix with a prescribed value, (N,). Collective."""
     mark = A.createVecRight()
-    dofs = A.query(DIRICHLET)
+    dofs = A.query(DIRICHLET_DOFS)
     if dofs is not None:
         indices = dofs.getIndices()
         mark.setValues(indices, np.ones(len(indices)))

@@ -110,7 +110,7 @@ def reference(problem: HandTorn, form: PrimalFormulation) -> Dense:
     operator = form.operator
     copies = form.system.copies
     rows = whole(copies.dofs + torn.first_torn_dof)
-    held = whole(form.pattern.fixed)
+    held = whole(form.pattern.is_fixed)
     inside = np.setdiff1d(np.flatnonzero(~held), rows)
     K = problem.K_torn
     interior = np.ix_(inside, inside)

@@ -321,12 +321,12 @@ def test_multipliers_and_displacements_are_those_of_the_dense_reference(
     multipliers = start + correction
     lam = whole(multipliers.lam)
     recovered = recover(formulation.system, multipliers, f, c)
-    u = whole(np.where(formulation.pattern.fixed, u_D, recovered))
+    u = whole(np.where(formulation.pattern.is_fixed, u_D, recovered))
 
     B = dense(gluing.B)
     G = dense(formulation.coarse.G)
     held = problem.dirichlet[problem.to_global]
-    free = ~whole(formulation.pattern.fixed)
+    free = ~whole(formulation.pattern.is_fixed)
     K = problem.K_torn[np.ix_(free, free)]
     C = B[:, free]
     saddle = np.block([[K, C.T], [C, np.zeros(2 * [len(C)])]])  # K u + Bᵀ λ = f, B u = c

@@ -35,7 +35,8 @@ from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
 from dolfinx_feti.runtime.arrays import Array, concatenate
 from dolfinx_feti.runtime.lifetime import Lifetime
 
-Rows = npt.NDArray[np.floating]
+#: A matrix in single or double precision.
+EitherPrecision = npt.NDArray[np.floating]
 
 #: Rounding unit of single precision.
 SINGLE_EPS = float(np.finfo(np.float32).eps)
@@ -65,7 +66,12 @@ class StoredProducts:
     """
 
     def __init__(
-        self, V: AveragedBasis, S: SchurOperator, *, is_symmetric: bool, Y_transposed: list[Rows]
+        self,
+        V: AveragedBasis,
+        S: SchurOperator,
+        *,
+        is_symmetric: bool,
+        Y_transposed: list[EitherPrecision],
     ) -> None:
         """Refer to V and S, which outlive this object, and keep the products.
 
@@ -140,7 +146,7 @@ def compute_products(
     comm = V.copies.comm
     assembler = CoarseAssembler(V.dofmap)
     stiffness = interface_stiffness(V, S)
-    Y_transposed: list[Rows] = []
+    Y_transposed: list[EitherPrecision] = []
 
     def compute() -> None:
         for i, (W_i, rows) in enumerate(zip(V.W, V.copies.rows, strict=True)):

@@ -91,7 +91,7 @@ class CoarseSolver:
         self._comm = comm
         self._errors = DeferredErrors() if errors is None else errors
         self._rows = slice(*N.getOwnershipRange())
-        self._gather = _Gather(N)
+        self._gatherer = _Gatherer(N)
         is_small = N.getSize()[0] <= INVERSE_ROWS_PER_PROCESS * comm.size
         # Processes that share a factor by fronts: this one alone if it computes rows of the
         # inverse.
@@ -129,7 +129,7 @@ class CoarseSolver:
             The sum of the addends of all processes.
         """
         with event("FETICoarseSolve"):
-            b_all, sum_of_addends = self._gather(b.array_r, addend)
+            b_all, sum_of_addends = self._gatherer.gather_and_sum(b.array_r, addend)
             if self.inverse is not None:
                 x.array[:] = self.inverse @ b_all
             elif len(b_all):
@@ -214,7 +214,7 @@ def _processes(count: int) -> str:
     return "1 process" if count == 1 else f"{count} processes"
 
 
-class _Gather:
+class _Gatherer:
     """Gathers distributed vectors on all processes, together with a number of each process."""
 
     def __init__(self, N: PETSc.Mat) -> None:
@@ -225,8 +225,8 @@ class _Gather:
         self._is_entry = np.ones(self._counts.sum(), dtype=bool)
         self._is_entry[np.cumsum(self._counts) - 1] = False
 
-    def __call__(self, b: Array, addend: float) -> tuple[Array, float]:
-        """Gather a vector and sum a number. Collective.
+    def gather_and_sum(self, b: Array, addend: float) -> tuple[Array, float]:
+        """Gather a vector on all processes, and sum a number of each. Collective.
 
         Args:
             b: Part of this process, (n_c,).

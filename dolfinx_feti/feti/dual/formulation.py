@@ -148,7 +148,7 @@ class DualFormulation:
         unknowns = start + correction  # (λ, s)
         u = recover(self.system, unknowns, condensed, c)  # u = K⁺ (f − Bᵀ λ) + E s, averaged
         u = self._extend_if_eliminated(u, f)
-        return np.where(self.pattern.fixed, u_D, u), info
+        return np.where(self.pattern.is_fixed, u_D, u), info
 
     def precondition(self, r: PETSc.Vec) -> Array:
         """Return z ≈ A⁻¹ r, the displacement of the balanced start (λ₀, s₀). Collective.
@@ -166,7 +166,7 @@ class DualFormulation:
         start = self.system.balance(condensed)  # (λ₀, s₀)
         u = recover(self.system, start, condensed, c)
         u = self._extend_if_eliminated(u, f)
-        return np.where(self.pattern.fixed, 0.0, u)
+        return np.where(self.pattern.is_fixed, 0.0, u)
 
     def torn_load(self, r: PETSc.Vec, u_D: Array) -> Array:
         """Return the load on the torn dofs. Collective.
@@ -181,7 +181,7 @@ class DualFormulation:
         """
         torn = self.torn
         f = self.delta * torn.tear(r.array_r)
-        f -= torn.multiply(np.where(self.pattern.fixed, u_D, 0.0))  # f = δ T r − K u_D
+        f -= torn.multiply(np.where(self.pattern.is_fixed, u_D, 0.0))  # f = δ T r − K u_D
         f[torn.is_dirichlet_copy] = 0.0
         return f
 

@@ -34,7 +34,7 @@ def weight_of(problem, formulation, pc_type):
     """Y of the definition on all torn dofs."""
     K = problem.K_torn
     Z = on_torn_dofs(formulation, modes_of(formulation).stabilisation)
-    fixed = whole(formulation.pattern.fixed)
+    fixed = whole(formulation.pattern.is_fixed)
     glued = np.any(dense(formulation.pattern.gluing.B) != 0.0, axis=0)
     if pc_type == "identity":
         return np.abs(np.diag(K)[glued]).mean() * np.eye(len(K)) + Z @ Z.T
@@ -84,7 +84,7 @@ def test_preconditioner_is_the_weighted_one(
     agree((formulation.inertia.dual > 0) == (change is not None))
     if interior == "keep":
         jump = random_part(formulation.system.m)
-        free = ~formulation.pattern.fixed
+        free = ~formulation.pattern.is_fixed
         expected = formulation.torn.multiply(pc.extend(pc.B_D.T @ jump))
         equal(whole(pc.apply(jump)[1][free]), whole(expected[free]), 1e-11)
 

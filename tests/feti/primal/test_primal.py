@@ -191,7 +191,7 @@ def test_operator_and_preconditioner_of_an_unsymmetric_matrix(kind, torn_grid, g
     V = primal.coarse.V
     torn = primal.pattern.torn
     rows = whole(system.copies.dofs + torn.first_torn_dof)
-    inside = np.setdiff1d(np.flatnonzero(~whole(primal.pattern.fixed)), rows)
+    inside = np.setdiff1d(np.flatnonzero(~whole(primal.pattern.is_fixed)), rows)
     T = problem.T[rows][:, ~problem.dirichlet]
     T = T[:, T.any(axis=0)]
     K = problem.K_torn

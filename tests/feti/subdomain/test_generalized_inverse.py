@@ -79,7 +79,7 @@ def test_algebra_is_exact_for_any_matrix(
     agree((COMM.allreduce(sum(modes.n_soft for modes in system.modes)) > 0) == (soft > 0))
     y = np.random.default_rng(SEED + 2).standard_normal(system.torn.n)
     x = system.inverse.solve(y)
-    agree(not x[system.pattern.fixed].any())
+    agree(not x[system.pattern.is_fixed].any())
     errors = [0.0]
     negative = 0
     for K, K_i in zip(blocks(problem, system), system.inverse.blocks, strict=True):
@@ -234,7 +234,7 @@ def test_elimination_is_exact(kind, change, way, torn_grid, create_dual):
     system = create_dual(problem.A, type=kind, interior="eliminate")
     torn = system.torn
     operator = system.operator
-    fixed = system.pattern.fixed
+    fixed = system.pattern.is_fixed
     fronts = [isinstance(S.interior_factor, FrontFactor) for S in operator.blocks]
     agree(not any(fronts) if way == "pivots" or change is INDEFINITE else all(fronts))
     K = problem.K_torn[
