@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Output: recovered stresses, values at points, fields for ParaView, pictures, and scenes.
 
-In the order of the data: patches, stress, evaluation, file_fields, point_cloud, fields,
+In the order of the data: evaluation, patches, stress, file_fields, point_cloud, fields,
 surfaces, pictures, scenes.
 """
 

@@ -3,15 +3,18 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Patches: from values inside the cells to fields that are continuous in each layer.
 
-In the patch of a vertex v a cell K of the layer has its volume times the number of ways K – w – K'
-– v over vertices w as its weight, from A Aᵀ A with the incidence A of vertices and cells. A linear
-function is fitted there (Zienkiewicz and Zhu 1992), and fits are blended with hat functions φ_v,
+A linear function is fitted to a field in the patch of each vertex (Zienkiewicz and Zhu 1992), and
+the fits are blended with the hat functions φ_v of the vertices:
 
 .. math:: \mathcal R f = \sum_v φ_v \, (\bar f_v + G_v (x - \bar x_v)), \qquad
           G_v = \operatorname{cov}(f, x) \operatorname{cov}(x, x)^+ .
 
-Sweeps f* ← f* + R(f − f*) put back what is smoothed away. The data are values inside the cells, or
-means over them with the centroid for x (docs/stresses.md).
+A patch has the cells of one layer that share a vertex with a cell at v. Cells near v have larger
+weights: the weight of a cell K is its volume times the number of paths K – w – K' – v from cell to
+vertex to cell to v. With the incidence A of vertices and cells, these numbers are A Aᵀ A.
+
+A fit smooths the field. Sweeps f* ← f* + R(f − f*) put back what it has smoothed away. The data are
+values inside the cells, or means over them with the centroid for x (docs/stresses.md).
 """
 
 from __future__ import annotations
@@ -34,35 +37,45 @@ from dolfinx_feti.runtime.compat import geometry_dofmap, interpolation_points
 __all__ = ["Patches", "create_patches", "moments", "recover"]
 
 #: Number of cells whose values at the quadrature points are in memory at once.
-CHUNK = 4096
+CELLS_AT_ONCE = 4096
 
-#: A patch is flat in the directions where its variance is below this fraction of the largest one.
-FLAT_PATCH = 1e-9
+#: Variance of a patch, over the largest one, below which the patch is flat in this direction.
+FLAT_PATCH_RTOL = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Patches:
-    """The n_v vertices of the layers, a copy for each, and the n_c owned cells around them."""
+    """The patches of a mesh. A vertex has one for each layer, n_v together; n_c cells are owned.
+
+    Attributes:
+        mesh: The mesh.
+        n_layers: Number of layers.
+        patches_of_cells: Patches of the d + 1 vertices of each cell in its layer, (n_c, d + 1).
+        incidence: A, 1 for each cell at the vertex of a patch, (n_v, n_c).
+        points: Quadrature points of the reference cell, (n_q, d).
+        to_moments: From values f at these points to the means of f and of f (X − X̄),
+            (1 + d, n_q).
+    """
 
     mesh: dolfinx.mesh.Mesh
-    layers: int  #: Number of layers
-    rows: Numbers  #: Vertices of each cell in the cell's layer, (n_c, d + 1)
-    matrix: scipy.sparse.csr_array  #: A, (n_v, n_c)
-    points: Array  #: Quadrature points of the reference cell, (n_q, d)
-    weights: Array  #: From values f there to means of f and f (X − X̄), (1 + d, n_q)
+    n_layers: int
+    patches_of_cells: Numbers
+    incidence: scipy.sparse.csr_array
+    points: Array
+    to_moments: Array
 
-    def around(self, values: Array) -> Array:
-        """Sum values of the cells over those at a vertex, of all processes, (n_v, k)."""
+    def sum_at_vertices(self, values: Array) -> Array:
+        """Sum values of the cells, (n_c, k), over those at each vertex, (n_v, k). Collective."""
         vertices = self.mesh.topology.index_map(0)
-        vector = dolfinx.la.vector(vertices, self.layers * values.shape[1])
-        vector.array[:] = (self.matrix @ values).ravel()
+        vector = dolfinx.la.vector(vertices, self.n_layers * values.shape[1])
+        vector.array[:] = (self.incidence @ values).ravel()
         vector.scatter_reverse(dolfinx.la.InsertMode.add)
         vector.scatter_forward()
         return np.array(vector.array).reshape(-1, values.shape[1])
 
-    def sums(self, values: Array) -> Array:
-        """Sum values of the cells over the patches, A Aᵀ A, (n_v, k)."""
-        return self.around(self.matrix.T @ self.around(values))
+    def sum_over_patches(self, values: Array) -> Array:
+        """Sum values of the cells, (n_c, k), with the weights A Aᵀ A, (n_v, k). Collective."""
+        return self.sum_at_vertices(self.incidence.T @ self.sum_at_vertices(values))
 
 
 def create_patches(
@@ -92,104 +105,169 @@ def create_patches(
         raise ValueError(f"degree={degree}: give a quadrature degree of 3 or more.")
     dim = mesh.topology.dim
     vertices = mesh.topology.index_map(0)
-    layer, count = _layer_of_cells(mesh, layers)
-    of_cells = mesh.topology.connectivity(dim, 0).array.reshape(-1, dim + 1)[: len(layer)]
-    rows = of_cells.astype(np.int64) * count + layer[:, None]
-    entries = (np.ones(rows.size), (rows.ravel(), np.repeat(np.arange(len(rows)), dim + 1)))
-    shape = ((vertices.size_local + vertices.num_ghosts) * count, len(rows))
+    layer, n_layers = _layer_of_cells(mesh, layers)
+    vertices_of_cells = mesh.topology.connectivity(dim, 0).array.reshape(-1, dim + 1)[: len(layer)]
+    patches_of_cells = vertices_of_cells.astype(np.int64) * n_layers + layer[:, None]
+    rows = patches_of_cells.ravel()
+    columns = np.repeat(np.arange(len(layer)), dim + 1)
+    shape = ((vertices.size_local + vertices.num_ghosts) * n_layers, len(layer))
+    incidence = scipy.sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=shape)
     rule = basix.make_quadrature(getattr(basix.CellType, cell), degree)
     points, w = (np.asarray(array, dtype=np.float64) for array in rule)
-    weights = np.vstack([np.ones(len(points)), (points - 1.0 / (dim + 1)).T]) * w / w.sum()
-    matrix = scipy.sparse.csr_array(entries, shape=shape)
-    return Patches(mesh, count, rows, matrix, points, weights)
+    from_centroid = points - 1.0 / (dim + 1)
+    to_moments = np.vstack([np.ones(len(points)), from_centroid.T]) * w / w.sum()
+    return Patches(mesh, n_layers, patches_of_cells, incidence, points, to_moments)
 
 
 def moments(expression: Expr, patches: Patches) -> Array:
-    """Return means of f, and of f times the reference coordinates relative to the centroid.
+    """Return the means of f, and of f (X − X̄) with the reference coordinates X. Collective.
 
-    The shape is (n_c, 1 + d, components). An expression of another mesh is a ValueError, one that
-    is not finite an ArithmeticError. Collective.
+    Args:
+        expression: f, of any shape.
+        patches: Patches of its mesh.
+
+    Returns:
+        The means in each cell, (n_c, 1 + d, components): of f, [:, :1], and of f (X − X̄), [:, 1:].
+
+    Raises:
+        ValueError: The expression lives on another mesh.
+        ArithmeticError: It is not finite in a cell.
     """
     mesh = patches.mesh
-    n_cells = len(patches.rows)
+    n_cells = len(patches.patches_of_cells)
     size = int(np.prod(expression.ufl_shape))
-    integrals = np.zeros((n_cells, len(patches.weights), size))
-    wrong = 0
-    on_mesh = dolfinx.fem.Constant(mesh, np.float64(1.0)) * expression  # a number knows no mesh
+    means = np.zeros((n_cells, len(patches.to_moments), size))
+    not_finite = 0  # cells
+    on_mesh = dolfinx.fem.Constant(mesh, np.float64(1.0)) * expression  # a number has no mesh
     domains = extract_domains(on_mesh)
     if any(domain != mesh.ufl_domain() for domain in domains):
         raise ValueError(
             "The expression does not live on the mesh of the patches: create the patches with the "
             "mesh of the functions in the expression."
         )
-    if not domains:  # UFL knows that it is zero
-        return integrals
+    if not domains:  # UFL has simplified it to zero
+        return means
     compiled = Compiler(mesh.comm).expression(on_mesh, patches.points)
-    for first in range(0, n_cells, CHUNK):
-        cells = np.arange(first, min(first + CHUNK, n_cells), dtype=np.int32)
+    for first in range(0, n_cells, CELLS_AT_ONCE):
+        cells = np.arange(first, min(first + CELLS_AT_ONCE, n_cells), dtype=np.int32)
         values = np.asarray(compiled.eval(mesh, cells)).reshape(len(cells), -1, size)
-        wrong += int((~np.isfinite(values)).any(axis=(1, 2)).sum())
+        not_finite += int((~np.isfinite(values)).any(axis=(1, 2)).sum())
         with np.errstate(invalid="ignore"):
-            integrals[cells] = patches.weights @ values
-    wrong = mesh.comm.allreduce(wrong)
-    if wrong:
+            means[cells] = patches.to_moments @ values
+    not_finite = mesh.comm.allreduce(not_finite)
+    if not_finite:
         raise ArithmeticError(
-            f"The expression is NaN or infinite in {wrong} cells: evaluate it in an admissible "
-            "state, with det F > 0."
+            f"The expression is NaN or infinite in {not_finite} cells: evaluate it in an "
+            "admissible state, with det F > 0."
         )
-    return integrals
+    return means
 
 
-def recover(patches: Patches, data: Array, *, means: bool, sweeps: int) -> Array:
+@dataclass(frozen=True, slots=True)
+class _Geometry:
+    """Positions of cells and patches.
+
+    Attributes:
+        edges: Jacobian dx/dX of each cell, (n_c, d, d).
+        volumes: Volumes of the cells, (n_c, 1).
+        centroids: Centroids x of the cells, (n_c, d).
+        patch_volumes: Weights of the patches, positive, (n_v, 1).
+        centres: Means x̄_v of the position over the patches, (n_v, d).
+        inverses: cov(x, x)⁺ of the patches, (n_v, d, d).
+    """
+
+    edges: Array
+    volumes: Array
+    centroids: Array
+    patch_volumes: Array
+    centres: Array
+    inverses: Array
+
+
+def recover(patches: Patches, data: Array, *, by_means: bool, sweeps: int) -> Array:
     """Fit a field that is continuous in each layer to moments of a field. Collective.
 
     Args:
         patches: The patches.
-        data: Moments of the field in each cell, from :func:`moments`, (n_c, rows, components).
-        means: Whether the means over the cells are fitted, not the values inside them.
+        data: Moments of the field in each cell, from :func:`moments`, (n_c, 1 + d, components).
+        by_means: Whether the means over the cells are fitted, not the values inside them.
         sweeps: Number of fits, each to the remainder of those before.
 
     Returns:
         Values at the nodes of the discontinuous quadratic element, (n_c, nodes, components).
     """
     mesh = patches.mesh
-    n_cells, n_rows, size = data.shape
-    dim = n_rows - 1
-    corners = mesh.geometry.x[geometry_dofmap(mesh)[:n_cells], :dim]
-    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)  # dx/dX
-    volumes = np.abs(np.linalg.det(edges))[:, None] / math.factorial(dim)
-    x = corners.mean(axis=1)
-    second = x[:, :, None] * x[:, None]
-    if not means:
-        second += edges @ (patches.weights[1:] @ patches.points) @ np.swapaxes(edges, 1, 2)
-    values = np.column_stack([np.ones(n_cells), x, second.reshape(n_cells, dim**2)])
-    total = patches.sums(volumes * values)
-    volume = np.where(total[:, :1] > 0, total[:, :1], 1.0)  # a vertex may have no cell in a layer
-    centre, second = np.split(total[:, 1:] / volume, [dim], axis=1)
-    covariance = second.reshape(-1, dim, dim) - centre[:, :, None] * centre[:, None]
-    inverse = np.linalg.pinv(covariance, rcond=FLAT_PATCH, hermitian=True)  # cov(x, x)⁺
-
+    n_cells, _, size = data.shape
+    dim = mesh.geometry.dim
+    x = np.asarray(mesh.geometry.x, dtype=np.float64)
+    corners = x[geometry_dofmap(mesh)[:n_cells], :dim]
+    geometry = _geometry(patches, corners, by_means=by_means)
     space = dolfinx.fem.functionspace(mesh, ("DG", 2))
     nodes = interpolation_points(space)
     φ = space.element.basix_element.tabulate(0, patches.points)[0, :, :, 0]
-    to_moments = patches.weights @ φ
-    hats = np.column_stack([1.0 - nodes.sum(axis=1), nodes])
+    nodes_to_moments = patches.to_moments @ φ
+    hats = np.column_stack([1.0 - nodes.sum(axis=1), nodes])  # at the nodes, (nodes, d + 1)
     x_nodes = hats @ corners
     field = np.zeros((n_cells, len(nodes), size))
     for _ in range(sweeps):
-        remainder = data - to_moments @ field
-        product = x[:, :, None] * remainder[:, :1]  # means of x f
-        if not means:
-            product += edges @ remainder[:, 1:]
-        rows = np.concatenate([remainder[:, :1], product], axis=1)
-        parts = rows.reshape(n_cells, n_rows * size)
-        fits = (patches.sums(volumes * parts) / volume).reshape(-1, n_rows, size)
-        mean = fits[:, :1]
-        product = fits[:, 1:]
-        slope = inverse @ (product - centre[:, :, None] * mean)  # cov(x, x)⁺ cov(x, f)
-        for hat, v in zip(hats.T, patches.rows.T, strict=True):  # f* += Σ φ_v (m_v + G_v (x − x̄_v))
-            field += hat[:, None] * (mean[v] + (x_nodes - centre[v, None]) @ slope[v])
+        remainder = data - nodes_to_moments @ field
+        mean, slope = _fit(patches, geometry, remainder, by_means=by_means)
+        # f* += Σ φ_v (m_v + G_v (x − x̄_v)) over the vertices v of each cell
+        for hat, v in zip(hats.T, patches.patches_of_cells.T, strict=True):
+            linear = mean[v] + (x_nodes - geometry.centres[v, None]) @ slope[v]
+            field += hat[:, None] * linear
     return field
+
+
+def _geometry(patches: Patches, corners: Array, *, by_means: bool) -> _Geometry:
+    """Compute positions of cells and patches. Collective.
+
+    Args:
+        patches: The patches.
+        corners: Vertices of the cells, (n_c, d + 1, d).
+        by_means: Whether a cell counts with its centroid alone.
+    """
+    n_cells, _, dim = corners.shape
+    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)  # dx/dX
+    volumes = np.abs(np.linalg.det(edges))[:, None] / math.factorial(dim)
+    x = corners.mean(axis=1)
+    second_moments = x[:, :, None] * x[:, None]
+    if not by_means:
+        within_cell = patches.to_moments[1:] @ patches.points
+        second_moments += edges @ within_cell @ np.swapaxes(edges, 1, 2)
+    of_cells = np.column_stack([np.ones(n_cells), x, second_moments.reshape(n_cells, dim**2)])
+    sums = patches.sum_over_patches(volumes * of_cells)
+    patch_volumes = np.where(sums[:, :1] > 0, sums[:, :1], 1.0)  # a vertex may lack a layer's cells
+    centres, second_moments = np.split(sums[:, 1:] / patch_volumes, [dim], axis=1)
+    covariance = second_moments.reshape(-1, dim, dim) - centres[:, :, None] * centres[:, None]
+    inverses = np.linalg.pinv(covariance, rcond=FLAT_PATCH_RTOL, hermitian=True)  # cov(x, x)⁺
+    return _Geometry(edges, volumes, x, patch_volumes, centres, inverses)
+
+
+def _fit(
+    patches: Patches, geometry: _Geometry, data: Array, *, by_means: bool
+) -> tuple[Array, Array]:
+    """Fit a linear function to moments in each patch. Collective.
+
+    Args:
+        patches: The patches.
+        geometry: Their geometry.
+        data: Moments of a field in each cell, (n_c, 1 + d, components).
+        by_means: Whether the means over the cells are fitted.
+
+    Returns:
+        Means f̄_v, (n_v, 1, components), and slopes G_v, transposed, (n_v, d, components).
+    """
+    n_cells, n_moments, size = data.shape
+    products = geometry.centroids[:, :, None] * data[:, :1]  # means of x f
+    if not by_means:
+        products += geometry.edges @ data[:, 1:]
+    of_cells = np.concatenate([data[:, :1], products], axis=1).reshape(n_cells, n_moments * size)
+    sums = patches.sum_over_patches(geometry.volumes * of_cells) / geometry.patch_volumes
+    of_patches = sums.reshape(-1, n_moments, size)
+    mean = of_patches[:, :1]
+    covariance = of_patches[:, 1:] - geometry.centres[:, :, None] * mean
+    return mean, geometry.inverses @ covariance  # cov(x, x)⁺ cov(x, f)
 
 
 def _layer_of_cells(

@@ -6,7 +6,8 @@ r"""Recovered stresses, more accurate than those inside the cells (docs/stresses
 *By patches*, for elements with a pressure P_0: fits to the values inside the cells recover the
 traction across the wall, fits to their means the stress along the wall. With the normal n,
 :math:`σ^* = σ^{in} + T (σ^{means} - σ^{in}) T`, :math:`T = I - n ⊗ n`. *By balance*, for elements
-of second order: with the projection Π to linear functions, σ* = σ + (Π(n·σ n) − n·σ n) I.
+of second order: with the projection Π to linear functions in each cell,
+σ* = σ + (Π(n·σ n) − n·σ n) I.
 """
 
 from __future__ import annotations
@@ -20,16 +21,18 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.output.evaluation import CellEvaluator
 from dolfinx_feti.output.patches import Patches, moments, recover
+from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["balanced_stress", "recovered_field"]
 
 #: Fits of a field, each to the remainder of those before; further ones change little.
 SWEEPS = 3
 
-#: Variation inside the cells, relative to the largest mean, below which a field is constant there.
-CONSTANT = 1e-12
+#: Variation inside the cells, relative to the largest mean, below which a field is constant there:
+#: rounding with a margin.
+CONSTANT_RTOL = 1e-12
 
 
 def recovered_field(
@@ -65,28 +68,49 @@ def recovered_field(
             f"vector of {dim} components for a stress of shape {(dim, dim)}, and None otherwise."
         )
     data = moments(expression, patches)
-    largest = [np.abs(part).max(initial=0.0) for part in (data[:, 1:], data[:, :1])]
-    variation, mean = np.max(mesh.comm.allgather(largest), axis=0)
-    is_constant = bool(variation <= CONSTANT * mean)  # in each cell, on all processes
-    field = recover(patches, data, means=is_constant, sweeps=SWEEPS)
+    is_constant = _is_constant_in_cells(data, mesh)
+    field = recover(patches, data, by_means=is_constant, sweeps=SWEEPS)
     if normal is not None:
-        n = recover(patches, moments(normal, patches), means=True, sweeps=1)
-        length = np.linalg.norm(n, axis=2, keepdims=True)
-        wrong = mesh.comm.allreduce(int((length == 0.0).sum()))
-        if wrong:
-            raise ArithmeticError(
-                f"The normal vanishes at {wrong} nodes: give one that has the same sign in "
-                "neighbouring cells, and is nowhere zero."
-            )
-        n /= length
+        n = _unit_normals(normal, patches)
         T = np.eye(dim) - n[..., :, None] * n[..., None, :]
-        means = recover(patches, data, means=True, sweeps=SWEEPS)
-        field += (T @ (means - field).reshape(T.shape) @ T).reshape(field.shape)
+        by_means = recover(patches, data, by_means=True, sweeps=SWEEPS)
+        field += (T @ (by_means - field).reshape(T.shape) @ T).reshape(field.shape)
     result = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 2, shape)), name=name)
     dofs = result.function_space.dofmap.list[: len(field)]
     result.x.array.reshape(-1, field.shape[2])[dofs] = field
     result.x.scatter_forward()
     return result
+
+
+def _is_constant_in_cells(data: Array, mesh: dolfinx.mesh.Mesh) -> bool:
+    """Return True if a field is constant in each cell, on all processes. Collective.
+
+    Args:
+        data: Moments of the field, (n_c, 1 + d, components).
+        mesh: The mesh.
+    """
+    mean_here = np.abs(data[:, :1]).max(initial=0.0)
+    variation_here = np.abs(data[:, 1:]).max(initial=0.0)
+    mean = mesh.comm.allreduce(float(mean_here), op=MPI.MAX)
+    variation = mesh.comm.allreduce(float(variation_here), op=MPI.MAX)
+    return variation <= CONSTANT_RTOL * mean
+
+
+def _unit_normals(normal: Expr, patches: Patches) -> Array:
+    """Return the recovered unit normal at the nodes of each cell, (n_c, nodes, d). Collective.
+
+    Raises:
+        ArithmeticError: It vanishes at a node.
+    """
+    n = recover(patches, moments(normal, patches), by_means=True, sweeps=1)
+    length = np.linalg.norm(n, axis=2, keepdims=True)
+    vanishing = patches.mesh.comm.allreduce(int((length == 0.0).sum()))
+    if vanishing:
+        raise ArithmeticError(
+            f"The normal vanishes at {vanishing} nodes: give one that has the same sign in "
+            "neighbouring cells, and is nowhere zero."
+        )
+    return np.asarray(n / length)
 
 
 def balanced_stress(
@@ -101,7 +125,7 @@ def balanced_stress(
         degree: Degree of the quadrature inside the cells; twice the degree of u if not given.
 
     Returns:
-        σ*, with the Π(n·σ n) of the current state.
+        The expression σ*. Its Π(n·σ n) is computed now: for another state, call this again.
 
     Raises:
         ValueError: The stress is not a tensor, or the normal is not a vector.
@@ -119,26 +143,43 @@ def balanced_stress(
             f"a stress of shape {(dim, dim)} and a vector of {dim} components."
         )
     traction = ufl.inner(normal, stress * normal) / ufl.inner(normal, normal)
+    if degree is None:
+        degree = 2 * V.ufl_element().embedded_superdegree
+    projected = _projected_to_linear(traction, mesh, degree)
+    return stress + (projected - traction) * ufl.Identity(dim)
+
+
+def _projected_to_linear(
+    traction: Expr, mesh: dolfinx.mesh.Mesh, degree: int
+) -> dolfinx.fem.Function:
+    """Return the L2 projection of a traction to linear functions in each cell. Collective.
+
+    Args:
+        traction: The traction, a scalar.
+        mesh: Its mesh.
+        degree: Degree of the quadrature inside the cells.
+
+    Raises:
+        ArithmeticError: The traction is NaN or infinite somewhere.
+    """
     cell = getattr(basix.CellType, mesh.topology.cell_name())
-    simplex = cell in (basix.CellType.triangle, basix.CellType.tetrahedron)
-    W = dolfinx.fem.functionspace(mesh, ("DG" if simplex else "DPC", 1))
-    linear = dolfinx.fem.Function(W, name="traction")
-    twice = 2 * V.ufl_element().embedded_superdegree
-    rule = basix.make_quadrature(cell, twice if degree is None else degree)
+    is_simplex = cell in (basix.CellType.triangle, basix.CellType.tetrahedron)
+    W = dolfinx.fem.functionspace(mesh, ("DG" if is_simplex else "DPC", 1))
+    rule = basix.make_quadrature(cell, degree)
     points, w = (np.asarray(part, dtype=np.float64) for part in rule)
-    values = ufl.as_vector([abs(ufl.JacobianDeterminant(mesh)), traction])
-    owned = np.arange(mesh.topology.index_map(dim).size_local, dtype=np.int32)
-    at_points = Compiler(mesh.comm).expression(values, points).eval(mesh, owned)
-    volume, t = np.moveaxis(np.asarray(at_points).reshape(len(owned), len(points), 2), 2, 0)
+    integrands = ufl.as_vector([abs(ufl.JacobianDeterminant(mesh)), traction])
+    values = CellEvaluator(integrands, mesh, points).values()
+    scale, t = np.moveaxis(values, 2, 0)  # |det dx/dX| and the traction, (cells, points) each
     if not mesh.comm.allreduce(bool(np.isfinite(t).all()), op=MPI.LAND):
         raise ArithmeticError(
             "The traction is NaN or infinite somewhere: give an admissible state and a normal that "
             "is nowhere zero."
         )
     φ = W.element.basix_element.tabulate(0, points)[0, :, :, 0]  # (points, dofs)
-    M = np.einsum("cq,qi,qj->cij", volume * w, φ, φ)
-    b = np.einsum("cq,qi->ci", volume * w * t, φ)
+    M = np.einsum("cq,qi,qj->cij", scale * w, φ, φ)
+    b = np.einsum("cq,qi->ci", scale * w * t, φ)
     c = np.linalg.solve(M, b[:, :, None])[:, :, 0]  # Π(n·σ n) = M⁻¹ b
-    linear.x.array[W.dofmap.list[: len(owned)]] = c
+    linear = dolfinx.fem.Function(W, name="traction")
+    linear.x.array[W.dofmap.list[: len(c)]] = c
     linear.x.scatter_forward()
-    return stress + (linear - traction) * ufl.Identity(dim)
+    return linear
