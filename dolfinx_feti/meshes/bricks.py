@@ -23,9 +23,9 @@ from dolfinx_feti.meshes.layers import sheets
 from dolfinx_feti.meshes.surface import Indices, Points
 from dolfinx_feti.meshes.tube import ADVENTITIA, INNER_RADIUS, MEDIA, count_around
 from dolfinx_feti.meshes.wall_mesh import TAGS
-from dolfinx_feti.runtime.collective import on_root
+from dolfinx_feti.runtime.collective import on_root_only
 from dolfinx_feti.wall.wall import Wall
-from dolfinx_feti.wall.wallfile import RawWall, distribute
+from dolfinx_feti.wall.wall_arrays import WallArrays, distribute
 
 __all__ = ["create_brick_tube", "lattice_cells"]
 
@@ -77,10 +77,8 @@ def create_brick_tube(
         around = count_around(size, quarter=quarter)
     if along is None:
         along = max(1, round(length / size))
-    raw: list[RawWall] = []  # on the first process
-
-    def create() -> None:
-        wall = _create(
+    arrays = on_root_only(
+        lambda: _create(
             length,
             through,
             around,
@@ -89,11 +87,10 @@ def create_brick_tube(
             quarter=quarter,
             order=order,
             simplex=tetrahedra,
-        )
-        raw.append(wall)
-
-    on_root(create, comm)
-    return distribute(raw[0] if raw else None, comm)
+        ),
+        comm,
+    )
+    return distribute(arrays, comm)
 
 
 def _create(
@@ -106,7 +103,7 @@ def _create(
     quarter: bool,
     order: int,
     simplex: bool,
-) -> RawWall:
+) -> WallArrays:
     """Return points, cells and surfaces of the whole tube.
 
     The arguments are those of :func:`create_brick_tube`; ``simplex`` is its ``tetrahedra``.
@@ -142,7 +139,7 @@ def _create(
         name: lattice_cells(np.squeeze(f), order, simplex=simplex) for name, f in faces.items()
     }
     cells = lattice_cells(number, order, simplex=simplex)
-    return RawWall(
+    return WallArrays(
         points=x.reshape(-1, 3),
         cells=cells,
         layers=np.repeat(layers, len(cells) // len(layers)),

@@ -26,8 +26,9 @@ from ufl.core.expr import Expr
 
 from dolfinx_feti.meshes.bricks import lattice_cells
 from dolfinx_feti.meshes.wall_mesh import TAGS
+from dolfinx_feti.runtime.collective import on_root_only
 from dolfinx_feti.wall.wall import Wall
-from dolfinx_feti.wall.wallfile import RawWall, distribute
+from dolfinx_feti.wall.wall_arrays import WallArrays, distribute
 
 __all__ = ["LONG", "THICKNESS", "create_ellipsoid", "ellipsoid_fibre"]
 
@@ -53,7 +54,8 @@ def create_ellipsoid(comm: MPI.Comm, n: int, through: int | None = None) -> Wall
         n: The refinement: 8 n bricks around, 4 n from the apex to the base.
         through: Bricks through the wall; n if not given.
     """
-    return distribute(_create(n, through or n) if comm.rank == 0 else None, comm)
+    arrays = on_root_only(lambda: _create(n, through or n), comm)
+    return distribute(arrays, comm)
 
 
 def ellipsoid_fibre(mesh: dolfinx.mesh.Mesh) -> Expr:
@@ -84,7 +86,7 @@ def _fraction(r: Array, z: Array) -> Array:
     return (low + high) / 2
 
 
-def _create(n: int, through: int) -> RawWall:
+def _create(n: int, through: int) -> WallArrays:
     """Return the points, cells and surfaces.
 
     Args:
@@ -121,7 +123,7 @@ def _create(n: int, through: int) -> RawWall:
     base = [lattice_cells(each[:, -1], 2, simplex=False) for each in numbers[1:]]
     facets = [np.concatenate(lumen), np.concatenate(base)]
     tags = {"lumen": TAGS["lumen"], "base": TAGS["opening_1"]}
-    return RawWall(
+    return WallArrays(
         points=flat[first],
         cells=cells,
         layers=np.ones(len(cells), dtype=np.int64),

@@ -126,10 +126,10 @@ def write_mesh(path: Path, mesh: WallMesh, names: Mapping[str, int] = TAGS) -> N
         return write_msh(path, mesh, names)
     from mpi4py import MPI
 
-    from dolfinx_feti.wall.wallfile import RawWall, distribute
+    from dolfinx_feti.wall.wall_arrays import WallArrays, distribute
     from dolfinx_feti.wall.xdmf import write_wall
 
-    raw = RawWall(
+    raw = WallArrays(
         points=mesh.points,
         cells=mesh.cells,
         layers=mesh.layers,

@@ -4,8 +4,9 @@
 """Collective work: an error on one process is an error on all; sums, gathered arrays, warnings.
 
 MPI waits forever for a process that left a collective call by an error. So work that may fail on
-one process runs inside of :func:`on_all` or :func:`on_root`, which exchange the errors, or, in an
-iteration, where that would cost a message, inside of :meth:`DeferredErrors.guard`.
+one process runs inside of :func:`on_all`, :func:`on_root` or :func:`on_root_only`, which exchange
+the errors, or, in an iteration, where that would cost a message, inside of
+:meth:`DeferredErrors.guard`.
 """
 
 from __future__ import annotations
@@ -38,6 +39,19 @@ def on_root(work: Callable[[], T], comm: MPI.Comm) -> T:
     """
     pickled = on_all(lambda: pickle.dumps(work()) if comm.rank == 0 else b"", comm)
     return pickle.loads(comm.bcast(pickled, root=0))
+
+
+def on_root_only(work: Callable[[], T], comm: MPI.Comm) -> T | None:
+    """Do work on rank 0, and return its result there and None on all others. Collective.
+
+    Args:
+        work: Not collective; its result is not sent.
+        comm: The processes.
+
+    Raises:
+        BaseException: The error of the work, on all processes.
+    """
+    return on_all(lambda: work() if comm.rank == 0 else None, comm)
 
 
 def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:

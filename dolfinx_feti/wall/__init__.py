@@ -3,12 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
-``wall`` is a mesh with ``names``. ``checks``, ``xdmf`` and ``wallfile`` read it from files. A case,
-``casekeys`` and ``casefile``, is one TOML file with a wall and its ``conditions``. ``fibres`` and
-``opening`` compute directions and residual stress. No file imports one that is listed after it.
+``wall`` is a mesh with ``names``. ``xdmf`` and ``wallfile`` read it from files, with ``checks``;
+``wall_arrays`` is a wall before it is distributed. A case, ``casekeys`` and ``casefile``, is one
+TOML file with a wall and its ``conditions``. ``fibres`` and ``opening`` compute directions and
+residual stress. No file imports one that is listed after it.
 
-In the order of the data: names, wall, checks, xdmf, wallfile, casekeys, conditions, casefile,
-fibres, opening.
+In the order of the data: names, wall, checks, xdmf, wall_arrays, wallfile, casekeys, conditions,
+casefile, fibres, opening.
 """
 
 from dolfinx_feti.wall.casefile import Case, Filling, Tissue, read_case

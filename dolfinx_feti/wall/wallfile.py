@@ -11,7 +11,7 @@ file           cells                                  names of layers and surfac
 other          tetrahedra of order 1, by meshio       numbers in cell data (meshes/README.md)
 =============  =====================================  ==========================================
 
-PETSc's log shows the phases ``WallRead``, ``WallPartition`` and ``WallTags``.
+PETSc's log shows the phase ``WallRead``, before those of ``wall_arrays``.
 
 Gmsh files are not read by ``dolfinx.io.gmsh``, which in dolfinx 0.9 to 0.11 fails with a bare
 AssertionError if node numbers have gaps, and ignores cells without a group or in two of them.
@@ -22,7 +22,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,22 +31,19 @@ from mpi4py import MPI
 
 import numpy as np
 
-import basix.ufl
 import dolfinx
-import dolfinx.io
-import ufl
 
 from dolfinx_feti.mechanics.values import require_positive
-from dolfinx_feti.runtime.arrays import Array, Numbers
-from dolfinx_feti.runtime.collective import on_root
+from dolfinx_feti.runtime.arrays import Numbers
+from dolfinx_feti.runtime.collective import on_root, on_root_only
 from dolfinx_feti.runtime.events import event
-from dolfinx_feti.runtime.scotch import repeatable_partitions
 from dolfinx_feti.wall.checks import CELLS, check_cells, check_faces, check_rows
 from dolfinx_feti.wall.names import Groups, checked_groups, merged_names, named_tags, names_of_tags
 from dolfinx_feti.wall.wall import Wall
+from dolfinx_feti.wall.wall_arrays import WallArrays, distribute, first_or_empty
 from dolfinx_feti.wall.xdmf import is_written_by_write_wall, read_parallel
 
-__all__ = ["RawWall", "distribute", "read_raw_wall", "read_wall"]
+__all__ = ["read_wall", "read_wall_arrays"]
 
 #: Shape of a facet by its number of nodes.
 FACETS = {3: "triangle", 6: "triangle", 4: "quadrilateral", 9: "quadrilateral"}
@@ -79,20 +76,6 @@ for i, b in enumerate(m.cells)]; m.cell_sets = {}; m.write("wall.vtu"); then \
 read_wall("wall.vtu", comm, names={"media": (3, 1), "lumen": (2, 2)})"""
 
 
-@dataclass(frozen=True, slots=True)
-class RawWall:
-    """A wall as read from a file."""
-
-    points: Array  #: Coordinates, (n, 3), in the file's unit
-    #: Nodes of the cells in dolfinx's order, (m, 4), or as many as in ``checks.CELLS``
-    cells: Numbers
-    layers: Numbers  #: Tag of each cell, (m,)
-    facets: Numbers  #: Nodes of the tagged facets, (k, 3), or as many as those of the cells have
-    surfaces: Numbers  #: Tags of the facets, (k,)
-    layer_names: dict[str, int]  #: Tags of the layers
-    surface_names: dict[str, int]  #: Tags of the surfaces
-
-
 def read_wall(
     path: Path | str, comm: MPI.Comm, *, scale: float = 1.0, names: Groups | None = None
 ) -> Wall:
@@ -119,88 +102,27 @@ def read_wall(
     if on_root(lambda: path.is_file() and is_written_by_write_wall(path), comm):
         return read_parallel(path, comm, scale=scale)
     with event("WallRead"):
-        raw = _read_on_first(path, names or {}, comm)
-        check_rows(path, raw.points, raw.cells, [raw.facets], comm)
-        check_faces(path, raw.cells, raw.facets, comm)
-    wall = distribute(raw, comm, scale=scale)
+        on_first = on_root_only(lambda: _read_with_names(path, names or {}), comm)
+        arrays = first_or_empty(on_first, comm)
+        check_rows(path, arrays.points, arrays.cells, [arrays.facets], comm)
+        check_faces(path, arrays.cells, arrays.facets, comm)
+    wall = distribute(arrays, comm, scale=scale)
     check_cells(path, wall, same_orientation=True)
     return wall
 
 
-def _read_on_first(path: Path, names: Groups, comm: MPI.Comm) -> RawWall:
-    """Read a wall on the first process, and return one without entities on all others. Collective.
-
-    The names of the user replace those of the file with equal tags.
-    """
-    raw: RawWall | None = None
-
-    def read() -> None:  # its result is not sent to the others, as that of on_root is
-        nonlocal raw
-        groups = checked_groups(names)
-        wall = read_raw_wall(path)
-        layers = merged_names(wall.layer_names, groups, 3, wall.layers)
-        surfaces = merged_names(wall.surface_names, groups, 2, wall.surfaces)
-        raw = replace(wall, layer_names=layers, surface_names=surfaces)
-
-    on_root(read, comm)
-    return _local_part(raw, comm)
+def _read_with_names(path: Path, names: Groups) -> WallArrays:
+    """Read a wall; the names of the user replace those of the file with equal tags. Serial."""
+    groups = checked_groups(names)
+    arrays = read_wall_arrays(path)
+    return replace(
+        arrays,
+        layer_names=merged_names(arrays.layer_names, groups, 3, arrays.layers),
+        surface_names=merged_names(arrays.surface_names, groups, 2, arrays.surfaces),
+    )
 
 
-def _local_part(raw: RawWall | None, comm: MPI.Comm) -> RawWall:
-    """Return the wall on the first process, and one with its names only on all others. Collective.
-
-    Args:
-        raw: The wall on the first process; not used on the others.
-        comm: Communicator.
-    """
-    without_entities: RawWall | None = None
-    if comm.rank == 0 and raw is not None:
-        arrays = ("points", "cells", "layers", "facets", "surfaces")
-        without_entities = replace(raw, **{name: getattr(raw, name)[:0] for name in arrays})
-    names_only: RawWall = comm.bcast(without_entities, root=0)
-    return raw if comm.rank == 0 and raw is not None else names_only
-
-
-def distribute(raw: RawWall | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
-    """Create the distributed mesh and the tags of a wall. Collective.
-
-    Args:
-        raw: The wall on the first process; not used on the others.
-        comm: Communicator of the mesh.
-        scale: Number of millimetres in the unit of the points.
-    """
-    raw = _local_part(raw, comm)
-    used = np.unique(raw.cells)
-    number = np.full(len(raw.points), -1)  # points of no cell have no number
-    number[used] = np.arange(len(used))
-    cells = number[raw.cells]
-    facets = number[raw.facets]
-    kind = CELLS[raw.cells.shape[1]]
-    element = basix.ufl.element("Lagrange", kind.shape, kind.order, shape=(3,), dtype=np.float64)
-    with event("WallPartition"), repeatable_partitions():
-        x = scale * raw.points[used]
-        mesh = dolfinx.mesh.create_mesh(comm, cells, x=x, e=ufl.Mesh(element))
-    with event("WallTags"):
-        layers = _tags(mesh, 3, cells, raw.layers)
-        surfaces = _tags(mesh, 2, facets, raw.surfaces)
-    return Wall(mesh, layers, surfaces, raw.layer_names, raw.surface_names)
-
-
-def _tags(
-    mesh: dolfinx.mesh.Mesh, dim: int, entities: Numbers, values: Numbers
-) -> dolfinx.mesh.MeshTags:
-    """Distribute the tags of entities, each given by its points in the file."""
-    entities = np.ascontiguousarray(entities)
-    values = values.astype(np.int32)
-    mesh.topology.create_entities(dim)
-    local, local_values = dolfinx.io.distribute_entity_data(mesh, dim, entities, values)
-    mesh.topology.create_connectivity(dim, 0)
-    mesh.topology.create_connectivity(dim, 3)
-    links = dolfinx.graph.adjacencylist(local)
-    return dolfinx.mesh.meshtags_from_entities(mesh, dim, links, local_values.astype(np.int32))
-
-
-def read_raw_wall(path: Path) -> RawWall:
+def read_wall_arrays(path: Path) -> WallArrays:
     """Read a wall from a Gmsh file (`*.msh`), or from another format by meshio. Serial.
 
     Raises:
@@ -233,7 +155,7 @@ def _listed(names: Sequence[tuple[str | None, int]]) -> str:
     return ", ".join(f"{name or 'nameless'} = {tag}" for name, tag in names) or "none"
 
 
-def _read_gmsh(path: Path) -> RawWall:
+def _read_gmsh(path: Path) -> WallArrays:
     """Read the physical groups of a Gmsh file."""
     with _gmsh_model(path) as gmsh:
         tags, coordinates, _ = gmsh.model.mesh.getNodes()
@@ -249,7 +171,7 @@ def _read_gmsh(path: Path) -> RawWall:
     # error
     number = np.full(last + 1, -1)
     number[tags] = np.arange(len(tags))
-    return RawWall(
+    return WallArrays(
         points=coordinates.reshape(-1, 3),
         cells=number[cells],
         layers=layers,
@@ -361,7 +283,7 @@ def _unsupported_elements(gmsh: ModuleType, path: Path, element_type: int) -> Va
     )
 
 
-def _read_meshio(path: Path) -> RawWall:
+def _read_meshio(path: Path) -> WallArrays:
     """Read tetrahedra and triangles with their cell data from a format that meshio reads."""
     meshio = _import("meshio", path)
     printed = io.StringIO()
@@ -389,7 +311,7 @@ def _read_meshio(path: Path) -> RawWall:
     layers = _cell_data(path, mesh, "tetra")
     surfaces = _cell_data(path, mesh, "triangle")
     tagged = surfaces > 0
-    return RawWall(
+    return WallArrays(
         points=np.asarray(mesh.points, dtype=np.float64),
         cells=blocks["tetra"].astype(np.int64),
         layers=layers,

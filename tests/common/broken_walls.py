@@ -18,7 +18,8 @@ from wall_files import EXAMPLE, ROOT
 
 from dolfinx_feti.meshes.wall_mesh import write_msh
 from dolfinx_feti.wall import read_wall, write_wall
-from dolfinx_feti.wall.wallfile import RawWall, read_raw_wall
+from dolfinx_feti.wall.wall_arrays import WallArrays
+from dolfinx_feti.wall.wallfile import read_wall_arrays
 
 CASE = (ROOT / "demos/wall.toml").read_text(encoding="utf-8")
 
@@ -42,11 +43,11 @@ def text(name: str, content: bytes | str, match: str) -> None:
     broken(name, match, lambda path: path.write_bytes(data))
 
 
-def changed(name: str, match: str, **arrays: Callable[[RawWall], np.ndarray]) -> None:
+def changed(name: str, match: str, **arrays: Callable[[WallArrays], np.ndarray]) -> None:
     """Enter the example with other arrays."""
 
     def write(path: Path) -> None:
-        mesh = read_raw_wall(EXAMPLE)
+        mesh = read_wall_arrays(EXAMPLE)
         write_msh(path, replace(mesh, **{k: f(mesh) for k, f in arrays.items()}))
 
     broken(name, match, write)
@@ -272,7 +273,7 @@ def with_tags(name: str, tag: float) -> None:
     def write(path: Path) -> None:
         import meshio
 
-        mesh = read_raw_wall(EXAMPLE)
+        mesh = read_wall_arrays(EXAMPLE)
         layers = with_rows(mesh.layers.astype(float), 0, tag)
         blocks = [("tetra", mesh.cells), ("triangle", mesh.facets)]
         data = {"tag": [layers, mesh.surfaces.astype(float)]}

@@ -13,26 +13,26 @@ import numpy.typing as npt
 from collective import agree, equal
 
 from dolfinx_feti.meshes import tube
-from dolfinx_feti.wall.wallfile import RawWall
+from dolfinx_feti.wall.wall_arrays import WallArrays
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 
 
-def areas(wall: RawWall) -> dict[str, float]:
+def areas(wall: WallArrays) -> dict[str, float]:
     """Area of each surface [mm²]."""
     a, b, c = np.moveaxis(wall.points[wall.facets], 1, 0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
     return {n: area[wall.surfaces == t].sum() for n, t in wall.surface_names.items()}
 
 
-def volumes(wall: RawWall) -> dict[str, float]:
+def volumes(wall: WallArrays) -> dict[str, float]:
     """Volume of each layer [mm³]."""
     volume = np.abs(np.linalg.det(wall.points[wall.cells[:, 1:]] - wall.points[wall.cells[:, :1]]))
     return {n: volume[wall.layers == t].sum() / 6 for n, t in wall.layer_names.items()}
 
 
-def watertight(wall: RawWall) -> None:
+def watertight(wall: WallArrays) -> None:
     """Assert that the facets are the faces of one cell alone, each of them once."""
     faces = wall.cells[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3)
     found, count = np.unique(np.sort(faces, axis=1), axis=0, return_counts=True)

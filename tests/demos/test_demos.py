@@ -25,7 +25,7 @@ from wall_files import DEMOS, EXAMPLE, ROOT, on_first
 
 from dolfinx_feti.meshes.wall_mesh import TAGS, write_mesh, write_msh
 from dolfinx_feti.runtime.petsc_options import inserted
-from dolfinx_feti.wall.wallfile import read_raw_wall
+from dolfinx_feti.wall.wallfile import read_wall_arrays
 
 pytest.importorskip("gmsh")
 pytest.importorskip("pyvista")
@@ -260,7 +260,7 @@ def test_prestretch_of_one_layer(run, tmp_path):
     names = {"wall": 1} | {k: v for k, v in TAGS.items() if v > 2}
 
     def write() -> None:
-        raw = read_raw_wall(EXAMPLE)
+        raw = read_wall_arrays(EXAMPLE)
         one = replace(raw, layers=np.ones_like(raw.layers))
         write_mesh(tmp_path / "own.xdmf", one, names)
         text = 'mesh = "own.xdmf"\n[layers.wall]\nc = 20\n[surfaces.lumen]\npressure = 1\n'
@@ -344,7 +344,7 @@ def test_mesh_with_a_missing_tag(run, tmp_path, capsys):
     """The message lists the names found."""
     path = tmp_path / "wall.msh"
     tags = {k: v for k, v in TAGS.items() if k != "lumen"}
-    on_first(lambda: write_msh(path, read_raw_wall(EXAMPLE), tags))
+    on_first(lambda: write_msh(path, read_wall_arrays(EXAMPLE), tags))
     match = "surfaces.lumen.: the wall has no surface 'lumen'; it has outer, opening_1, opening_2"
     refused(run, capsys, match, "--mesh", path, "--output", tmp_path / "run")
 

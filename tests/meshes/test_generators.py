@@ -16,7 +16,7 @@ from wall_files import ROOT
 
 from dolfinx_feti.meshes import tube, vessel, wall_mesh
 from dolfinx_feti.meshes.wall_mesh import TAGS
-from dolfinx_feti.wall.wallfile import read_raw_wall
+from dolfinx_feti.wall.wallfile import read_wall_arrays
 
 pytestmark = pytest.mark.serial
 
@@ -27,7 +27,7 @@ def test_tube(tmp_path, quarter):
     n = 4 if quarter else 16
     path = tmp_path / "t.msh"
     quality = tube.create_tube(path, length=2.0, quarter=quarter, through=(2, 1), around=n, along=7)
-    wall = read_raw_wall(path)
+    wall = read_wall_arrays(path)
     agree(quality.cells == 3 * 2 * 3 * n * 7 and quality.minimum > 0.3, quality)
     watertight(wall)
     for axis, name in enumerate(("symmetry_x", "symmetry_y")):
@@ -67,7 +67,7 @@ def test_command_line_makes_the_example(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", words)
     tube.main()
-    agree("symmetry_x" in read_raw_wall(tmp_path / "t.msh").surface_names)
+    agree("symmetry_x" in read_wall_arrays(tmp_path / "t.msh").surface_names)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from mesh_files import areas, pipe, volumes, watertight, write_stl
 from dolfinx_feti.meshes import vessel
 from dolfinx_feti.meshes.surface import Guide, read_stl
 from dolfinx_feti.meshes.wall_mesh import TAGS
-from dolfinx_feti.wall.wallfile import read_raw_wall
+from dolfinx_feti.wall.wallfile import read_wall_arrays
 
 pytestmark = pytest.mark.serial
 
@@ -29,7 +29,7 @@ def artery(tmp_path_factory):
     """The vessel of the demo, with its file."""
     path = tmp_path_factory.mktemp("vessel") / "vessel.msh"
     quality = vessel.create_vessel(path)
-    return SimpleNamespace(path=path, quality=quality, wall=read_raw_wall(path))
+    return SimpleNamespace(path=path, quality=quality, wall=read_wall_arrays(path))
 
 
 def test_vessel_is_good(artery):
@@ -125,7 +125,7 @@ def test_layers_of_a_pipe(tmp_path, layers, through, size):
     path = tmp_path / "v.msh"
     of = {"thickness": 1.0, "layers": layers, "through": through}
     vessel.create_vessel(path, surface=stl, size=size, **of)
-    wall = read_raw_wall(path)
+    wall = read_wall_arrays(path)
     watertight(wall)
     volume = volumes(wall)
     R = 3.0 + np.cumsum([0.0, *layers.values()]) / sum(layers.values())
@@ -142,7 +142,7 @@ def test_one_layer_from_a_surface_in_metres(tmp_path, monkeypatch, capsys):
     words = f"prog {path} --surface {stl} --scale 1000 --size 1.2 --layers wall --through 2"
     monkeypatch.setattr(sys, "argv", words.split())
     vessel.main()
-    wall = read_raw_wall(path)
+    wall = read_wall_arrays(path)
     watertight(wall)
     agree(wall.layer_names == {"wall": 101}, wall.layer_names)
     agree(set(wall.surface_names) == {"lumen", "outer", "opening_1", "opening_2"})
@@ -156,7 +156,7 @@ def test_one_layer_from_a_surface_in_metres(tmp_path, monkeypatch, capsys):
 
 def test_wall_too_thick_for_its_crotches_is_refused(coarse, tmp_path):
     """On the lumen of the coarse vessel, whose triangles are few."""
-    wall = read_raw_wall(coarse)
+    wall = read_wall_arrays(coarse)
     t = wall.facets[wall.surfaces == TAGS["lumen"]]
     stl = write_stl(tmp_path / "lumen.stl", wall.points, t, binary=True)
     with raises(ValueError, "quality of .* less than 0.1"):

@@ -35,7 +35,7 @@ from dolfinx_feti.wall import (
     read_wall,
 )
 from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame, gradient, solve_laplace
-from dolfinx_feti.wall.wallfile import read_raw_wall
+from dolfinx_feti.wall.wallfile import read_wall_arrays
 
 EXAMPLE = ROOT / "meshes/example.msh"
 
@@ -93,7 +93,7 @@ def is_frame(frame):
 def test_nothing_depends_on_the_unit_of_length(tmp_path, scale):
     """A wall in metres is as good as one in millimetres."""
     path = tmp_path / "wall.msh"
-    mesh = on_first(lambda: read_raw_wall(EXAMPLE))
+    mesh = on_first(lambda: read_wall_arrays(EXAMPLE))
     on_first(lambda: write_msh(path, replace(mesh, points=scale * mesh.points)))
     wall = read_wall(path, COMM)
     same = read_wall(EXAMPLE, COMM)
@@ -208,7 +208,7 @@ def test_inlet_is_the_widest_opening(tmp_path, wide):
 
     def make():
         create_tube(tmp_path / "t.msh", size=0.4, length=1.0)
-        w = read_raw_wall(tmp_path / "t.msh")
+        w = read_wall_arrays(tmp_path / "t.msh")
         z = w.points[:, 2:]
         factor = 1 + 0.3 * (z if wide == "opening_2" else 1 - z)
         points = w.points * np.hstack([factor, factor, np.ones_like(z)])

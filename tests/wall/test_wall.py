@@ -24,7 +24,7 @@ from dolfinx_feti.meshes.wall_mesh import TAGS, write_msh
 from dolfinx_feti.wall import area, by_layer, facets, openings, read_case, read_wall
 from dolfinx_feti.wall.fibres import fibre_frame
 from dolfinx_feti.wall.wall import plane
-from dolfinx_feti.wall.wallfile import read_raw_wall
+from dolfinx_feti.wall.wallfile import read_wall_arrays
 
 GROUPS = {name: (3 if tag < 3 else 2, tag) for name, tag in TAGS.items()}
 AROUND = 14
@@ -41,7 +41,7 @@ def wall():
 @pytest.fixture(scope="module")
 def raw():
     """The example as arrays, on every process."""
-    return on_first(lambda: read_raw_wall(EXAMPLE))
+    return on_first(lambda: read_wall_arrays(EXAMPLE))
 
 
 def read_changed(tmp_path, mesh, names=TAGS):
@@ -192,7 +192,7 @@ def test_gmsh_is_left_running(wall):
         try:
             gmsh.option.setNumber("General.Terminal", 0)
             gmsh.model.add("mine")
-            read_raw_wall(EXAMPLE)
+            read_wall_arrays(EXAMPLE)
             return gmsh.model.list(), gmsh.model.getCurrent()
         finally:
             gmsh.finalize()
@@ -300,6 +300,6 @@ def test_disk_errors_reach_all(tmp_path, monkeypatch):
     def broken(path):
         raise PermissionError(f"{path} may not be read")
 
-    monkeypatch.setattr("dolfinx_feti.wall.wallfile.read_raw_wall", broken)
+    monkeypatch.setattr("dolfinx_feti.wall.wallfile.read_wall_arrays", broken)
     with raises(PermissionError, "may not be read"):
         read_wall(EXAMPLE, COMM)

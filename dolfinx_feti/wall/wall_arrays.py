@@ -1,0 +1,124 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""A wall as arrays of one process, as files and mesh generators have it, and its distribution.
+
+PETSc's log shows the phases ``WallPartition`` and ``WallTags``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from mpi4py import MPI
+
+import numpy as np
+
+import basix.ufl
+import dolfinx
+import dolfinx.io
+import ufl
+
+from dolfinx_feti.runtime.arrays import Array, Numbers
+from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.scotch import repeatable_partitions
+from dolfinx_feti.wall.checks import CELLS
+from dolfinx_feti.wall.wall import Wall
+
+__all__ = ["WallArrays", "distribute", "first_or_empty"]
+
+
+@dataclass(frozen=True, slots=True)
+class WallArrays:
+    """A wall that is not distributed: points, cells and tagged facets.
+
+    Attributes:
+        points: Coordinates, (n, 3), in millimetres or in the unit of a file.
+        cells: Nodes of the cells in dolfinx's order, (m, nodes); ``checks.CELLS`` lists the types.
+        layers: Tag of the layer of each cell, (m,).
+        facets: Nodes of the tagged facets in dolfinx's order, (k, nodes of a facet).
+        surfaces: Tag of the surface of each of these facets, (k,).
+        layer_names: Tags of the layers by name.
+        surface_names: Tags of the surfaces by name.
+    """
+
+    points: Array
+    cells: Numbers
+    layers: Numbers
+    facets: Numbers
+    surfaces: Numbers
+    layer_names: dict[str, int]
+    surface_names: dict[str, int]
+
+
+def distribute(arrays: WallArrays | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
+    """Create the distributed mesh and the tags of a wall. Collective.
+
+    Args:
+        arrays: The wall on the first process; not used on the others.
+        comm: Communicator of the mesh.
+        scale: Number of millimetres in the unit of the points.
+    """
+    arrays = first_or_empty(arrays, comm)
+    used = np.unique(arrays.cells)
+    number = np.full(len(arrays.points), -1)  # points of no cell have no number
+    number[used] = np.arange(len(used))
+    cells = number[arrays.cells]
+    facets = number[arrays.facets]
+    cell_type = CELLS[arrays.cells.shape[1]]
+    element = basix.ufl.element(
+        "Lagrange", cell_type.shape, cell_type.order, shape=(3,), dtype=np.float64
+    )
+    with event("WallPartition"), repeatable_partitions():
+        x = scale * arrays.points[used]
+        mesh = dolfinx.mesh.create_mesh(comm, cells, x=x, e=ufl.Mesh(element))
+    with event("WallTags"):
+        cell_tags = _distribute_tags(mesh, 3, cells, arrays.layers)
+        facet_tags = _distribute_tags(mesh, 2, facets, arrays.surfaces)
+    return Wall(mesh, cell_tags, facet_tags, arrays.layer_names, arrays.surface_names)
+
+
+def first_or_empty(arrays: WallArrays | None, comm: MPI.Comm) -> WallArrays:
+    """Return the wall on the first process, and one with its names only on all others. Collective.
+
+    Args:
+        arrays: The wall on the first process; not used on the others.
+        comm: Communicator.
+    """
+    empty: WallArrays | None = None
+    if comm.rank == 0:
+        assert arrays is not None
+        empty = replace(
+            arrays,
+            points=arrays.points[:0],
+            cells=arrays.cells[:0],
+            layers=arrays.layers[:0],
+            facets=arrays.facets[:0],
+            surfaces=arrays.surfaces[:0],
+        )
+    names_of_first: WallArrays = comm.bcast(empty, root=0)
+    if comm.rank == 0 and arrays is not None:
+        return arrays
+    return names_of_first
+
+
+def _distribute_tags(
+    mesh: dolfinx.mesh.Mesh, dim: int, entities: Numbers, values: Numbers
+) -> dolfinx.mesh.MeshTags:
+    """Distribute the tags of cells or facets. Collective.
+
+    Args:
+        mesh: The mesh.
+        dim: 3 for cells, 2 for facets.
+        entities: Nodes of the entities, by their numbers in the input of the mesh, (n, nodes).
+        values: Their tags, (n,).
+    """
+    entities = np.ascontiguousarray(entities)
+    mesh.topology.create_entities(dim)
+    local, local_values = dolfinx.io.distribute_entity_data(
+        mesh, dim, entities, values.astype(np.int32)
+    )
+    mesh.topology.create_connectivity(dim, 0)
+    mesh.topology.create_connectivity(dim, 3)
+    links = dolfinx.graph.adjacencylist(local)
+    return dolfinx.mesh.meshtags_from_entities(mesh, dim, links, local_values.astype(np.int32))
