@@ -39,7 +39,7 @@ from benchmarks.common.study import Arguments, Keep, Study
 from dolfinx_feti import NonlinearProblem, materials
 from dolfinx_feti.contact import Contact, cylinder, half_space, sphere
 from dolfinx_feti.loading import LoadStep, Steps, follow_load
-from dolfinx_feti.meshes.curved import curved
+from dolfinx_feti.meshes.curved import create_curved_mesh
 from dolfinx_feti.runtime.scotch import repeatable_partitions
 
 Points = np.ndarray
@@ -280,7 +280,7 @@ def _ring(comm: MPI.Comm, cells: tuple[int, int], radii: tuple[float, float]) ->
     def place(x: Points) -> Points:
         return _polar(A + (B - A) * x[:, 0], x[:, 1], [])
 
-    return curved(mesh, place)
+    return create_curved_mesh(mesh, place)
 
 
 def _tube(
@@ -294,7 +294,7 @@ def _tube(
     def place(x: Points) -> Points:
         return _polar(A + (B - A) * x[:, 0], x[:, 1], [length * x[:, 2]])
 
-    return curved(mesh, place)
+    return create_curved_mesh(mesh, place)
 
 
 def _polar(r: np.ndarray, share: np.ndarray, along: list[np.ndarray]) -> np.ndarray:

@@ -36,12 +36,12 @@ import ufl
 from dolfinx_feti import NonlinearProblem, compare, kinematics, loads, materials
 from dolfinx_feti.loading import Steps, follow_load
 from dolfinx_feti.meshes.arguments import (
-    Parser,
+    RootParser,
     count,
+    exit_on_errors,
     parse_all,
     positive,
-    refusals,
-    without_petsc,
+    split_petsc_options,
 )
 from dolfinx_feti.meshes.walls import open_case
 from dolfinx_feti.output import (
@@ -58,10 +58,11 @@ comm = MPI.COMM_WORLD
 
 # ## The command line
 #
-# `refusals` turns errors of the user's input into one line and the exit status 2, on all processes.
+# `exit_on_errors` turns errors of the user's input into one line and the exit status 2, on all
+# processes.
 
 # +
-parser = Parser("demo_case.py", allow_abbrev=False)
+parser = RootParser("demo_case.py", allow_abbrev=False)
 parser.add_argument("--mesh", default="vessel", help="vessel, tube, or a file in mm")
 parser.add_argument("--wall", type=Path, help="TOML file with mesh, layers and conditions")
 parser.add_argument("--size", type=positive, help="length of the elements' edges [mm]")
@@ -70,7 +71,7 @@ parser.add_argument("--steps", type=count, default=10, help="the first load step
 parser.add_argument("--subdomains", type=count, default=64, help="over all processes, 64")
 parser.add_argument("--degree", type=int, choices=(1, 2), default=2, help="of displacements, 2")
 parser.add_argument("--output", type=Path, default=Path("output/case"), help="a folder")
-words, _ = without_petsc(sys.argv[1:])
+words, _ = split_petsc_options(sys.argv[1:])
 args = parse_all(parser, words)
 logging.basicConfig(format="%(message)s", stream=sys.stdout)
 logging.getLogger("dolfinx_feti").setLevel(logging.INFO)  # a line for each load step
@@ -82,7 +83,7 @@ logging.getLogger("dolfinx_feti").setLevel(logging.INFO)  # a line for each load
 # neo-Hookean.
 
 # +
-with refusals(parser):
+with exit_on_errors(parser):
     folder = writable_folder(args.output, comm)
     case, wall, quality = open_case(args.wall, args.mesh, comm, size=args.size, folder=folder)
     if case.image or case.has_residual_stress or case.cavities:
@@ -119,7 +120,7 @@ else:
     psi = materials.neo_hookean(C, c=c, J=J)
 psi += materials.perturbed_lagrangian(J, p, kappa=1000.0)
 
-with refusals(parser):
+with exit_on_errors(parser):
     boundary = apply_conditions(wall, u, case.conditions, axis=case.axis)
     problem = NonlinearProblem(
         psi * ufl.dx,

@@ -13,7 +13,7 @@ from typing import IO
 from mpi4py import MPI
 
 from dolfinx_feti.meshes.arguments import positive
-from dolfinx_feti.meshes.walls import CREATE
+from dolfinx_feti.meshes.walls import GENERATORS
 from dolfinx_feti.runtime.collective import on_root
 
 
@@ -25,7 +25,7 @@ def add_choices(parser: argparse.ArgumentParser, name: str, choices: Sequence[ob
 
 def add_mesh(parser: argparse.ArgumentParser) -> None:
     """Add the options for the mesh of a wall."""
-    parser.add_argument("--geometry", choices=tuple(CREATE), default="vessel")
+    parser.add_argument("--geometry", choices=tuple(GENERATORS), default="vessel")
     add_size(parser)
 
 

@@ -29,7 +29,7 @@ from benchmarks.common.command import say
 from benchmarks.common.pages import Fields, fill, fold_tables, provenance
 from benchmarks.common.records import Known, Record, Records, read_records
 from dolfinx_feti import ConvergenceError
-from dolfinx_feti.meshes.arguments import Parser, parse_all, without_petsc
+from dolfinx_feti.meshes.arguments import RootParser, parse_all, split_petsc_options
 
 #: Writes and prints a record. Arguments: what the key of the record has beyond that of its case,
 #: such as the pressure, and the measured values.
@@ -91,7 +91,7 @@ class Study:
         """
         form = argparse.RawDescriptionHelpFormatter
         name = Path(self.file).stem
-        parser = Parser(name, description=self.about, formatter_class=form, allow_abbrev=False)
+        parser = RootParser(name, description=self.about, formatter_class=form, allow_abbrev=False)
         add = parser.add_argument
         add("--json", type=Path, nargs="+", default=[], metavar="FILE", help="records; added to")
         add("--again", action="store_true", help="also run cases that the file has")
@@ -99,7 +99,7 @@ class Study:
         add("--only", type=read_values, default={}, metavar="NAME=VALUE,…", help="run these cases")
         add("--page", type=Path, metavar="FOLDER", help="write the page of the files instead")
         self.options(parser)
-        own, petsc = without_petsc(sys.argv[1:] if argv is None else argv)
+        own, petsc = split_petsc_options(sys.argv[1:] if argv is None else argv)
         args = parse_all(parser, own)
         PETSc.Options().insertString(" ".join(petsc))
         if args.page is None and len(args.json) > 1:

@@ -13,10 +13,18 @@ from typing import Any, NoReturn
 
 from mpi4py import MPI
 
-__all__ = ["Parser", "count", "parse_all", "positive", "refusals", "share", "without_petsc"]
+__all__ = [
+    "RootParser",
+    "count",
+    "exit_on_errors",
+    "layer_share",
+    "parse_all",
+    "positive",
+    "split_petsc_options",
+]
 
 
-class Parser(argparse.ArgumentParser):
+class RootParser(argparse.ArgumentParser):
     """A parser that prints on the first process only, and each error in one line."""
 
     def error(self, message: str) -> NoReturn:
@@ -29,7 +37,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def count(text: str) -> int:
-    """Return the positive integer that a text contains.
+    """Return a positive integer from its text, for ``type=`` of an argument.
 
     Raises:
         argparse.ArgumentTypeError: The text contains something else.
@@ -40,7 +48,7 @@ def count(text: str) -> int:
 
 
 def positive(text: str) -> float:
-    """Return the positive, finite number that a text contains.
+    """Return a positive, finite number from its text, for ``type=`` of an argument.
 
     Raises:
         argparse.ArgumentTypeError: The text contains something else.
@@ -54,8 +62,10 @@ def positive(text: str) -> float:
     return value
 
 
-def share(text: str) -> tuple[str, float]:
-    """Return the name and the positive number of ``media=2``; the number of ``media`` is 1.
+def layer_share(text: str) -> tuple[str, float]:
+    """Return the name and the share of a layer, ("media", 2.0) of ``media=2``.
+
+    The share of ``media`` is 1.
 
     Raises:
         argparse.ArgumentTypeError: The name is missing, or the number is not positive.
@@ -66,7 +76,7 @@ def share(text: str) -> tuple[str, float]:
     return name, positive(number or "1")
 
 
-def without_petsc(words: Sequence[str]) -> tuple[list[str], list[str]]:
+def split_petsc_options(words: Sequence[str]) -> tuple[list[str], list[str]]:
     """Split a command line into the arguments of the program and those of PETSc.
 
     PETSc's are options with one dash, except ``-h``, each with at most one value behind it. The
@@ -97,7 +107,7 @@ def parse_all(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse
 
     Args:
         parser: The parser.
-        words: The program's arguments, see :func:`without_petsc`.
+        words: The program's arguments, see :func:`split_petsc_options`.
 
     Returns:
         The values of the arguments.
@@ -114,8 +124,11 @@ def parse_all(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse
 
 
 @contextmanager
-def refusals(parser: argparse.ArgumentParser) -> Iterator[None]:
-    """Turn errors in the input into one line on the terminal and exit status 2.
+def exit_on_errors(parser: argparse.ArgumentParser) -> Iterator[None]:
+    """Turn errors of the user's input into one line on the terminal and exit status 2.
+
+    Args:
+        parser: The parser, which prints the line.
 
     Raises:
         SystemExit: The code inside raised an OSError, ValueError or ArithmeticError.

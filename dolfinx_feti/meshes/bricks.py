@@ -1,33 +1,35 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The two-layer tube of bricks, with straight edges or with curved ones, on all processes.
+"""The two-layer tube of bricks, with straight edges or with curved ones, without a file.
 
-Node (i, j, k) of a lattice is the i-th through the wall, the j-th around and the k-th along. A
-brick has (order + 1)³ nodes, which lie on circles. It is a hexahedron, or is cut into six
-tetrahedra along the paths of edges from its first corner to the last. Layers, surfaces and lengths
-are those of :mod:`dolfinx_feti.meshes.tube`.
+Node (i, j, k) of a lattice is the i-th through the wall, the j-th around and the k-th along; all
+nodes lie on circles. Layers, surfaces and lengths are those of :mod:`dolfinx_feti.meshes.tube`.
 """
 
 from __future__ import annotations
-
-import itertools
 
 from mpi4py import MPI
 
 import numpy as np
 
-import basix
-
-from dolfinx_feti.meshes.layers import sheets
-from dolfinx_feti.meshes.surface import Indices, Points
-from dolfinx_feti.meshes.tube import ADVENTITIA, INNER_RADIUS, MEDIA, count_around
-from dolfinx_feti.meshes.wall_mesh import TAGS
+from dolfinx_feti.meshes.lattice import lattice_cells
+from dolfinx_feti.meshes.layers import create_sheets
+from dolfinx_feti.meshes.tags import SURFACE_TAGS
+from dolfinx_feti.meshes.tube import (
+    ADVENTITIA,
+    INNER_RADIUS,
+    MEDIA,
+    ZERO_ATOL,
+    Counts,
+    element_counts,
+)
+from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.collective import on_root_only
 from dolfinx_feti.wall.wall import Wall
 from dolfinx_feti.wall.wall_arrays import WallArrays, distribute
 
-__all__ = ["create_brick_tube", "lattice_cells"]
+__all__ = ["create_brick_tube"]
 
 
 def create_brick_tube(
@@ -71,110 +73,110 @@ def create_brick_tube(
             f"length={length}, size={size}, growth={growth}, order={order}: give lengths and a "
             "growth above zero, and order 1 or 2."
         )
-    if through is None:
-        through = max(1, round(MEDIA / size)), max(1, round(ADVENTITIA / size))
-    if around is None:
-        around = count_around(size, quarter=quarter)
-    if along is None:
-        along = max(1, round(length / size))
-    arrays = on_root_only(
-        lambda: _create(
-            length,
-            through,
-            around,
-            along,
-            growth=growth,
-            quarter=quarter,
-            order=order,
-            simplex=tetrahedra,
-        ),
-        comm,
+    counts = element_counts(
+        length, size, quarter=quarter, through=through, around=around, along=along
     )
-    return distribute(arrays, comm)
+
+    def create() -> WallArrays:
+        return _create_arrays(
+            length, counts, growth=growth, quarter=quarter, order=order, tetrahedra=tetrahedra
+        )
+
+    return distribute(on_root_only(create, comm), comm)
 
 
-def _create(
-    length: float,
-    through: tuple[int, int],
-    around: int,
-    along: int,
-    *,
-    growth: float,
-    quarter: bool,
-    order: int,
-    simplex: bool,
+def _create_arrays(
+    length: float, counts: Counts, *, growth: float, quarter: bool, order: int, tetrahedra: bool
 ) -> WallArrays:
     """Return points, cells and surfaces of the whole tube.
 
-    The arguments are those of :func:`create_brick_tube`; ``simplex`` is its ``tetrahedra``.
+    Args:
+        length: Length [mm].
+        counts: Numbers of elements.
+        growth: See :func:`create_brick_tube`.
+        quarter: Only the part with x ≥ 0 and y ≥ 0.
+        order: Order of the geometry.
+        tetrahedra: Whether each hexahedron is cut into six tetrahedra.
     """
-    heights, layers = sheets((MEDIA, ADVENTITIA), through, (TAGS["media"], TAGS["adventitia"]))
-    if growth != 1.0:
-        media = heights[: through[0] + 1]  # a view: heights changes with it
-        ξ = media / media[-1]
-        media[:] = media[-1] * (growth**ξ - 1.0) / (growth - 1.0)
-
-    # points: s through the wall, with order − 1 nodes inside each element
-    columns = order * around + (1 if quarter else 0)
-    s = np.interp(np.arange(order * len(layers) + 1) / order, np.arange(len(heights)), heights)
-    angle = np.arange(columns) * (np.pi / 2 if quarter else 2 * np.pi) / (order * around)
-    height = np.linspace(0.0, length, order * along + 1)
-    r, θ, z = np.meshgrid(INNER_RADIUS + (MEDIA + ADVENTITIA) * s, angle, height, indexing="ij")
-    x = np.stack([r * np.cos(θ), r * np.sin(θ), z], axis=-1)
-    x[np.abs(x) < 1e-15] = 0.0  # without rounding, so that points lie in the symmetry planes
-
-    # numbers of the lattice's nodes; a whole tube ends where it begins
-    number = np.arange(r.size).reshape(r.shape)
-    if not quarter:
-        number = np.concatenate([number, number[:, :1]], axis=1)
-    faces = {
-        "lumen": number[:1],
-        "outer": number[-1:],
-        "opening_1": number[..., :1],
-        "opening_2": number[..., -1:],
-    }
-    if quarter:
-        faces |= {"symmetry_y": number[:, :1], "symmetry_x": number[:, -1:]}
+    sheets = create_sheets({"media": MEDIA, "adventitia": ADVENTITIA}, counts.through)
+    heights = _grade(sheets.heights, counts.through[0], growth)
+    points = _lattice_points(length, counts, heights, quarter=quarter, order=order)
+    numbers = np.arange(points[..., 0].size).reshape(points.shape[:3])
+    if not quarter:  # a whole tube ends where it begins
+        numbers = np.concatenate([numbers, numbers[:, :1]], axis=1)
+    cells = lattice_cells(numbers, order, simplices=tetrahedra)
     facets = {
-        name: lattice_cells(np.squeeze(f), order, simplex=simplex) for name, f in faces.items()
+        name: lattice_cells(side, order, simplices=tetrahedra)
+        for name, side in _sides(numbers, quarter=quarter).items()
     }
-    cells = lattice_cells(number, order, simplex=simplex)
     return WallArrays(
-        points=x.reshape(-1, 3),
+        points=points.reshape(-1, 3),
         cells=cells,
-        layers=np.repeat(layers, len(cells) // len(layers)),
+        layers=np.repeat(sheets.layers, len(cells) // len(sheets.layers)),
         facets=np.concatenate(list(facets.values())),
-        surfaces=np.concatenate([np.full(len(f), TAGS[name]) for name, f in facets.items()]),
-        layer_names={name: TAGS[name] for name in ("media", "adventitia")},
-        surface_names={name: TAGS[name] for name in faces},
+        surfaces=np.concatenate(
+            [np.full(len(part), SURFACE_TAGS[name]) for name, part in facets.items()]
+        ),
+        layer_names=sheets.layer_names,
+        surface_names={name: SURFACE_TAGS[name] for name in facets},
     )
 
 
-def lattice_cells(number: Indices, order: int, *, simplex: bool) -> Indices:
-    """Return the nodes of all cells of a lattice in dolfinx's order, (cells, nodes).
+def _grade(heights: Array, n_media: int, growth: float) -> Array:
+    """Return the heights of sheets whose elements grow through the media, (n + 1,).
 
     Args:
-        number: Number of each node of the lattice, in two or three dimensions.
-        order: Order of the cells.
-        simplex: Whether each brick is cut into simplices.
+        heights: Evenly spaced heights of the sheets from the lumen on, (n + 1,).
+        n_media: Elements through the media.
+        growth: Thickness of the media's last element over that of the first one.
     """
-    offsets = order * _reference_nodes(number.ndim, order, simplex=simplex)
-    cells = [(extent - 1) // order for extent in number.shape]
-    first = order * np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), axis=-1)
-    nodes = first.reshape(-1, 1, 1, number.ndim) + np.rint(offsets).astype(np.int64)
-    return np.asarray(number[tuple(np.moveaxis(nodes, -1, 0))].reshape(-1, offsets.shape[1]))
+    graded = heights.copy()
+    if growth != 1.0:
+        end = heights[n_media]
+        ξ = heights[: n_media + 1] / end
+        graded[: n_media + 1] = end * (growth**ξ - 1.0) / (growth - 1.0)
+    return graded
 
 
-def _reference_nodes(dim: int, order: int, *, simplex: bool) -> Points:
-    """Return the nodes of the cells of a unit brick, (cells, nodes, dim).
+def _lattice_points(
+    length: float, counts: Counts, heights: Array, *, quarter: bool, order: int
+) -> Array:
+    """Return the nodes of the lattice, (through, around, along, 3) [mm].
 
-    Each simplex has the corners on a path of edges from the first corner of the brick to the last:
-    the steps of the path are a permutation of the axes.
+    Args:
+        length: Length [mm].
+        counts: Numbers of elements.
+        heights: Heights of the sheets between elements, from 0 to 1.
+        quarter: Only the part with x ≥ 0 and y ≥ 0.
+        order: Order of the geometry: there are order − 1 nodes inside an edge.
     """
-    names = ("triangle", "tetrahedron") if simplex else ("quadrilateral", "hexahedron")
-    kind = getattr(basix.CellType, names[dim - 2])
-    points = np.asarray(basix.create_element(basix.ElementFamily.P, kind, order).points, np.float64)
-    if not simplex:
-        return points[None]
-    steps = np.array([np.eye(dim)[list(path)] for path in itertools.permutations(range(dim))])
-    return np.asarray(points @ np.cumsum(steps, axis=1))
+    n_sheets = order * (len(heights) - 1) + 1
+    s = np.interp(np.arange(n_sheets) / order, np.arange(len(heights)), heights)
+    radii = INNER_RADIUS + (MEDIA + ADVENTITIA) * s
+    steps = order * counts.around
+    whole_angle = np.pi / 2 if quarter else 2 * np.pi
+    angles = np.arange(steps + 1 if quarter else steps) * whole_angle / steps
+    z = np.linspace(0.0, length, order * counts.along + 1)
+    r, θ, z = np.meshgrid(radii, angles, z, indexing="ij")
+    x = np.stack([r * np.cos(θ), r * np.sin(θ), z], axis=-1)
+    x[np.abs(x) < ZERO_ATOL] = 0.0
+    return np.asarray(x)
+
+
+def _sides(numbers: Numbers, *, quarter: bool) -> dict[str, Numbers]:
+    """Return the sides of the lattice by name, each with two axes.
+
+    Args:
+        numbers: Number of each node, (through, around, along).
+        quarter: Whether the lattice is that of a quarter.
+    """
+    sides = {
+        "lumen": numbers[0],
+        "outer": numbers[-1],
+        "opening_1": numbers[:, :, 0],
+        "opening_2": numbers[:, :, -1],
+    }
+    if quarter:
+        sides["symmetry_y"] = numbers[:, 0]
+        sides["symmetry_x"] = numbers[:, -1]
+    return sides

@@ -15,17 +15,14 @@ import itertools
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import basix.ufl
 import dolfinx
 
 from dolfinx_feti.runtime import compat
+from dolfinx_feti.runtime.arrays import Array, Indices, Numbers
 
 __all__ = ["TETRAHEDRA", "create_cube"]
-
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 #: Corners of a cell, (8, 3).
 CORNERS = np.array(list(itertools.product((0, 1), repeat=3)))
@@ -37,7 +34,7 @@ FACES = np.array([(axis, side) for axis in range(3) for side in (0, 1)])
 OFFSETS = 0.5 * np.array([(0, 0, 0), (1, 1, 1), (0, 1, 1), (1, 0, 1), (1, 1, 0)])
 
 
-def _tetrahedra() -> Indices:
+def _tetrahedra() -> Numbers:
     """Return the tetrahedra of a cell by its nodes, (24, 4).
 
     Node 0 is the centre, 1 to 6 are the centres of :data:`FACES`, and 7 to 14 :data:`CORNERS`.
@@ -54,15 +51,13 @@ def _tetrahedra() -> Indices:
 TETRAHEDRA = _tetrahedra()
 
 
-def create_cube(
-    comm: MPI.Comm, subdomains: int, cells: int
-) -> tuple[dolfinx.mesh.Mesh, npt.NDArray[np.int32]]:
+def create_cube(comm: MPI.Comm, subcubes: int, cells: int) -> tuple[dolfinx.mesh.Mesh, Indices]:
     """Create the unit cube's mesh, with each subcube on one process.
 
     Args:
         comm: Communicator of the mesh; each process gets consecutive subcubes.
-        subdomains: Subcubes along an edge of the cube.
-        cells: Cubic cells along an edge of a subcube.
+        subcubes: Number of subcubes along an edge of the cube.
+        cells: Number of cubic cells along an edge of a subcube.
 
     Returns:
         The mesh, and the number of the subcube of each owned tetrahedron, (n_cells,).
@@ -70,16 +65,15 @@ def create_cube(
     Note:
         Collective.
     """
-    local_subcubes = _share(subdomains**3, comm)
-    number = _node_numbers(_cells(local_subcubes, subdomains, cells), subdomains * cells)
-    tetrahedra = number[:, TETRAHEDRA].reshape(-1, 4)
-    x = _coordinates(subdomains * cells, comm)
+    edge = subcubes * cells
+    numbers = _node_numbers(_cell_positions(_share(subcubes**3, comm), subcubes, cells), edge)
+    tetrahedra = numbers[:, TETRAHEDRA].reshape(-1, 4)
     # the process of each tetrahedron: dolfinx keeps the mesh as it is distributed
     destinations = compat.adjacency(np.full((len(tetrahedra), 1), comm.rank, dtype=np.int32))
     mesh = dolfinx.mesh.create_mesh(
         comm,
         cells=tetrahedra,
-        x=x,
+        x=_coordinates(edge, comm),
         e=basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,)),
         partitioner=lambda *_: destinations,
     )
@@ -87,37 +81,48 @@ def create_cube(
     return mesh, subcube.astype(np.int32)
 
 
-def _share(count: int, comm: MPI.Comm) -> Indices:
+def _share(count: int, comm: MPI.Comm) -> Numbers:
     """Return this process's part of 0, …, count − 1, in order."""
     first = count * comm.rank // comm.size
     end = count * (comm.rank + 1) // comm.size
     return np.arange(first, end)
 
 
-def _cells(subcubes: Indices, subdomains: int, cells: int) -> Indices:
-    """Return the position of each cell in the cube, in cells, subcube by subcube, (cells, 3)."""
-    corner = cells * np.column_stack(np.unravel_index(subcubes, (subdomains,) * 3))
+def _cell_positions(subcube: Numbers, subcubes: int, cells: int) -> Numbers:
+    """Return the position of each cubic cell in the cube, subcube by subcube, (n, 3).
+
+    Positions are counted in cells along each axis.
+
+    Args:
+        subcube: Numbers of the subcubes, (k,).
+        subcubes: Number of subcubes along an edge of the cube.
+        cells: Number of cubic cells along an edge of a subcube.
+    """
+    corner = cells * np.column_stack(np.unravel_index(subcube, (subcubes,) * 3))
     inside = np.column_stack(np.unravel_index(np.arange(cells**3), (cells,) * 3))
     return (corner[:, None] + inside).reshape(-1, 3)
 
 
-def _shapes(edge: int) -> list[tuple[int, ...]]:
-    """Return the shape of each lattice of a cube of edge³ cells."""
-    shapes = (edge + 1 - 2 * OFFSETS).astype(int)  # a lattice at 1/2 has one point less
-    return [tuple(map(int, shape)) for shape in shapes]
+def _lattices(edge: int) -> tuple[list[tuple[int, ...]], Numbers]:
+    """Return the shape of each lattice of a cube of edge³ cells, and the number of its first node.
+
+    The last number is that of all nodes, (6,).
+    """
+    extents = (edge + 1 - 2 * OFFSETS).astype(int)  # a lattice at 1/2 has one point less
+    shapes = [tuple(map(int, extent)) for extent in extents]
+    return shapes, np.cumsum([0, *(np.prod(shape) for shape in shapes)])
 
 
-def _node_numbers(position: Indices, edge: int) -> Indices:
+def _node_numbers(position: Numbers, edge: int) -> Numbers:
     """Return the numbers of the nodes of each cell: centre, faces, corners; (cells, 15).
 
     Args:
         position: Position of each cell, (cells, 3).
         edge: Cells along an edge of the cube.
     """
-    shapes = _shapes(edge)
-    first = np.cumsum([0, *(np.prod(shape) for shape in shapes)])
+    shapes, first = _lattices(edge)
 
-    def number(lattice: int, at: Indices) -> Indices:
+    def number(lattice: int, at: Numbers) -> Numbers:
         return first[lattice] + np.ravel_multi_index(tuple(at.T), shapes[lattice])
 
     columns = [number(1, position)]
@@ -129,11 +134,11 @@ def _node_numbers(position: Indices, edge: int) -> Indices:
 
 def _coordinates(edge: int, comm: MPI.Comm) -> Array:
     """Return the coordinates of this process's share of the nodes, (nodes, 3)."""
-    shapes = _shapes(edge)
-    first = np.cumsum([0, *(np.prod(shape) for shape in shapes)])
+    shapes, first = _lattices(edge)
     node = _share(first[-1], comm)
     x = np.zeros((len(node), 3))
     for start, shape, offset in zip(first[:-1], shapes, OFFSETS, strict=True):
-        inside = (node >= start) & (node < start + np.prod(shape))
-        x[inside] = np.column_stack(np.unravel_index(node[inside] - start, shape)) + offset
+        is_in_lattice = (node >= start) & (node < start + np.prod(shape))
+        position = np.column_stack(np.unravel_index(node[is_in_lattice] - start, shape))
+        x[is_in_lattice] = position + offset
     return x / edge

@@ -18,32 +18,43 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-import numpy.typing as npt
 
 import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.meshes.bricks import lattice_cells
-from dolfinx_feti.meshes.wall_mesh import TAGS
+from dolfinx_feti.meshes.lattice import lattice_cells
+from dolfinx_feti.meshes.tags import SURFACE_TAGS
+from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.collective import on_root_only
 from dolfinx_feti.wall.wall import Wall
 from dolfinx_feti.wall.wall_arrays import WallArrays, distribute
 
 __all__ = ["LONG", "THICKNESS", "create_ellipsoid", "ellipsoid_fibre"]
 
-Array = npt.NDArray[np.float64]
-
-#: Half axes of the inner surface, thickness of the wall, and height z of the base [mm]: problems 2
-#: and 3 of Land et al. 2015.
+#: Half axes of the inner surface [mm]: problems 2 and 3 of Land et al. 2015.
 SHORT = 7.0
 LONG = 17.0
+
+#: Thickness of the wall along the axes [mm].
 THICKNESS = 3.0
+
+#: Height z of the base [mm].
 BASE = 5.0
 
 #: Half the edge of the square in the disc of radius 1, a choice: close to 0 the square's cells
 #: shrink, from 1/√2 on the blocks around it have no width.
 SQUARE = 0.3
+
+#: Points whose coordinates [mm] agree to this number of digits after the point are equal: shared
+#: points of two blocks agree to rounding, 1e-14, and nodes of a mesh are at least 1e-3 apart.
+DIGITS = 9
+
+#: Bisections of an interval of length 1.2 that reach rounding: 1.2 / 2⁶⁰ is 1e-18.
+BISECTIONS = 60
+
+#: Tolerance of the fraction t: nodes of curved cells lie on ellipsoids up to rounding. It is ample.
+FRACTION_MARGIN = 0.1
 
 
 def create_ellipsoid(comm: MPI.Comm, n: int, through: int | None = None) -> Wall:
@@ -54,7 +65,8 @@ def create_ellipsoid(comm: MPI.Comm, n: int, through: int | None = None) -> Wall
         n: The refinement: 8 n bricks around, 4 n from the apex to the base.
         through: Bricks through the wall; n if not given.
     """
-    arrays = on_root_only(lambda: _create(n, through or n), comm)
+    n_through = n if through is None else through
+    arrays = on_root_only(lambda: _create_arrays(n, n_through), comm)
     return distribute(arrays, comm)
 
 
@@ -74,72 +86,98 @@ def ellipsoid_fibre(mesh: dolfinx.mesh.Mesh) -> Expr:
 
 
 def _fraction(r: Array, z: Array) -> Array:
-    """Return t at points, by bisection of (r/r_s)² + (z/r_l)² = 1."""
-    # the nodes of curved cells lie on ellipsoids up to rounding: 0.1 is an ample margin
-    low = np.full(r.shape, -0.1)
-    high = np.full(r.shape, 1.1)
-    for _ in range(60):  # 1.2 / 2⁶⁰ is below rounding
+    """Return t at points, (n,), by bisection of (r/r_s)² + (z/r_l)² = 1.
+
+    Args:
+        r: Distance from the axis [mm], (n,).
+        z: Height [mm], (n,).
+    """
+    low = np.full(r.shape, -FRACTION_MARGIN)
+    high = np.full(r.shape, 1.0 + FRACTION_MARGIN)
+    for _ in range(BISECTIONS):
         t = (low + high) / 2
-        at = (r / (SHORT + THICKNESS * t)) ** 2 + (z / (LONG + THICKNESS * t)) ** 2
-        low = np.where(at > 1, t, low)
-        high = np.where(at > 1, high, t)
+        is_outside = (r / (SHORT + THICKNESS * t)) ** 2 + (z / (LONG + THICKNESS * t)) ** 2 > 1
+        low = np.where(is_outside, t, low)
+        high = np.where(is_outside, high, t)
     return (low + high) / 2
 
 
-def _create(n: int, through: int) -> WallArrays:
+def _create_arrays(n: int, through: int) -> WallArrays:
     """Return the points, cells and surfaces.
 
     Args:
         n: The refinement, see :func:`create_ellipsoid`.
         through: Bricks through the wall.
     """
-    # points of the five blocks of the disc, (j, k, 2) each; a brick has three nodes along an edge
+    # a brick has three nodes along an edge
     t = np.linspace(0.0, 1.0, 2 * through + 1, dtype=np.float64)
+    blocks = [_map_to_wall(t[:, None, None], disc) for disc in _disc_blocks(n)]
+    points, numbers = _join(blocks)
+
+    # the lumen is the first sheet of all blocks, the base the outer side of those around the square
+    cells = [lattice_cells(block, 2, simplices=False) for block in numbers]
+    lumen = [lattice_cells(block[0], 2, simplices=False) for block in numbers]
+    base = [lattice_cells(block[:, -1], 2, simplices=False) for block in numbers[1:]]
+    facets = {"lumen": np.concatenate(lumen), "base": np.concatenate(base)}
+    names = {"lumen": SURFACE_TAGS["lumen"], "base": SURFACE_TAGS["opening_1"]}
+    all_cells = np.concatenate(cells)
+    return WallArrays(
+        points=points,
+        cells=all_cells,
+        layers=np.ones(len(all_cells), dtype=np.int64),
+        facets=np.concatenate(list(facets.values())),
+        surfaces=np.concatenate([np.full(len(f), names[name]) for name, f in facets.items()]),
+        layer_names={"wall": 1},
+        surface_names=names,
+    )
+
+
+def _disc_blocks(n: int) -> list[Array]:
+    """Return the nodes of the blocks of the unit disc, (j, k, 2) each: the square, and four around.
+
+    Args:
+        n: The refinement, see :func:`create_ellipsoid`.
+    """
     s = np.linspace(-1.0, 1.0, 4 * n + 1)
     square = SQUARE * np.stack(np.meshgrid(s, s, indexing="ij"), axis=-1)
     ρ = np.linspace(0.0, 1.0, 6 * n + 1)[:, None, None]
     side = np.stack([np.full_like(s, SQUARE), SQUARE * s], axis=-1)
     arc = np.stack([np.cos(np.pi / 4 * s), np.sin(np.pi / 4 * s)], axis=-1)
-    block = (1 - ρ) * side + ρ * arc
-    turn = np.array([[0.0, 1.0], [-1.0, 0.0]])
-    blocks = [square, *(block @ np.linalg.matrix_power(turn, k) for k in range(4))]
+    block = (1 - ρ) * side + ρ * arc  # from the side of the square to the rim of the disc
+    quarter_turn = np.array([[0.0, 1.0], [-1.0, 0.0]])
+    turned = [block @ np.linalg.matrix_power(quarter_turn, k) for k in range(4)]
+    return [np.asarray(disc, dtype=np.float64) for disc in (square, *turned)]
 
-    # points of the wall; those that blocks share become one: they agree up to rounding, and 0.0 is
-    # added because np.round leaves −0.0
-    points = [_map_to_wall(t[:, None, None], disc.astype(np.float64)) for disc in blocks]
-    ends = np.cumsum([part[..., 0].size for part in points])
-    flat = np.concatenate([part.reshape(-1, 3) for part in points])
-    _, first, number = np.unique(
-        np.round(flat, 9) + 0.0, axis=0, return_index=True, return_inverse=True
-    )
-    numbers = [
-        part.reshape(points[i].shape[:3])
-        for i, part in enumerate(np.split(number.ravel(), ends[:-1]))
-    ]
 
-    # the lumen is the first sheet of all blocks, the base the outer edge of those around the square
-    cells = np.concatenate([lattice_cells(each, 2, simplex=False) for each in numbers])
-    lumen = [lattice_cells(each[0], 2, simplex=False) for each in numbers]
-    base = [lattice_cells(each[:, -1], 2, simplex=False) for each in numbers[1:]]
-    facets = [np.concatenate(lumen), np.concatenate(base)]
-    tags = {"lumen": TAGS["lumen"], "base": TAGS["opening_1"]}
-    return WallArrays(
-        points=flat[first],
-        cells=cells,
-        layers=np.ones(len(cells), dtype=np.int64),
-        facets=np.concatenate(facets),
-        surfaces=np.repeat(list(tags.values()), [len(part) for part in facets]),
-        layer_names={"wall": 1},
-        surface_names=tags,
-    )
+def _join(blocks: list[Array]) -> tuple[Array, list[Numbers]]:
+    """Join the points that blocks share.
+
+    Args:
+        blocks: Points of each block, (i, j, k, 3).
+
+    Returns:
+        All points, (n, 3), and the number of each node of each block, (i, j, k).
+    """
+    points = np.concatenate([block.reshape(-1, 3) for block in blocks])
+    rounded = np.round(points, DIGITS) + 0.0  # np.round may leave −0.0, which is not 0.0 in a row
+    _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    ends = np.cumsum([block[..., 0].size for block in blocks])
+    parts = np.split(number.ravel(), ends[:-1])
+    numbers = [part.reshape(block.shape[:3]) for part, block in zip(parts, blocks, strict=True)]
+    return points[first], numbers
 
 
 def _map_to_wall(t: Array, disc: Array) -> Array:
-    """Map points of the unit disc, (j, k, 2), to the ellipsoids at t, (i, 1, 1)."""
+    """Map points of the unit disc to the ellipsoids of the wall, (i, j, k, 3).
+
+    Args:
+        t: Fractions of the way through the wall, (i, 1, 1).
+        disc: Points of the disc, (j, k, 2).
+    """
     ρ = np.linalg.norm(disc, axis=-1)
     short = SHORT + THICKNESS * t
     long = LONG + THICKNESS * t
     μ = ρ * (np.pi - np.arccos(BASE / long))
-    outwards = disc / np.maximum(ρ, 1e-300)[..., None]  # zero in the centre
+    outwards = disc / np.maximum(ρ, np.finfo(float).tiny)[..., None]  # zero in the centre
     across = (short * np.sin(μ))[..., None] * outwards
     return np.concatenate([across, -(long * np.cos(μ))[..., None]], axis=-1)

@@ -18,8 +18,8 @@ import numpy as np
 import basix.ufl
 import dolfinx
 
-from dolfinx_feti.meshes.curved import curved
-from dolfinx_feti.meshes.surface import Indices, Points
+from dolfinx_feti.meshes.curved import create_curved_mesh
+from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.scotch import repeatable_partitions
 
 __all__ = ["create_octant"]
@@ -40,24 +40,24 @@ def create_octant(
     Note:
         Collective.
     """
-    points: Points = np.zeros((0, 3))
-    cells: Indices = np.zeros((0, 4), dtype=np.int64)
+    points: Array = np.zeros((0, 3))  # of other processes than the first one
+    cells: Numbers = np.zeros((0, 4), dtype=np.int64)
     if comm.rank == 0:
         radii = np.linspace(inner, outer, layers + 1, dtype=np.float64)
         points, cells = _prisms(divisions, layers, radii)
     linear = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
     with repeatable_partitions():
         straight = dolfinx.mesh.create_mesh(comm, cells=cells, x=points, e=linear)
-    return curved(straight, _on_spheres)
+    return create_curved_mesh(straight, _on_spheres)
 
 
-def _on_spheres(x: Points) -> Points:
+def _on_spheres(x: Array) -> Array:
     """Return the positions on the spheres of points (x, y, radius) over the triangle, (n, 3)."""
     rays = np.column_stack((x[:, 0], x[:, 1], 1.0 - x[:, 0] - x[:, 1]))
     return np.asarray(x[:, 2:] * rays / np.linalg.norm(rays, axis=1)[:, None])
 
 
-def _prisms(divisions: int, layers: int, radii: Points) -> tuple[Points, Indices]:
+def _prisms(divisions: int, layers: int, radii: Array) -> tuple[Array, Numbers]:
     """Return points (x, y, radius) over the triangle, (n, 3), and tetrahedra, (m, 4).
 
     Args:
@@ -66,22 +66,22 @@ def _prisms(divisions: int, layers: int, radii: Points) -> tuple[Points, Indices
         radii: Radius of each sheet of points, (layers + 1,).
     """
     lattice = [(i, j) for i in range(divisions + 1) for j in range(divisions + 1 - i)]
-    number = {node: k for k, node in enumerate(lattice)}
-    triangles = []
+    number = {position: k for k, position in enumerate(lattice)}
+    triangles = []  # those that point up, then those that point down
     for i, j in lattice:
         if i + j < divisions:
             triangles.append((number[i, j], number[i + 1, j], number[i, j + 1]))
     for i, j in lattice:
         if i + j < divisions - 1:
             triangles.append((number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]))
-    flat = np.array(lattice) / divisions
-    sheets = [np.column_stack((flat, np.full(len(flat), radius))) for radius in radii]
+    xy = np.array(lattice) / divisions
+    points = [np.column_stack((xy, np.full(len(xy), radius))) for radius in radii]
     corners = np.sort(triangles, axis=1)
     cells = []
     for layer in range(layers):
-        a = corners + layer * len(flat)  # below
-        b = corners + (layer + 1) * len(flat)  # above
-        cells.append(np.column_stack((a, b[:, 2])))
-        cells.append(np.column_stack((a[:, :2], b[:, 1:])))
-        cells.append(np.column_stack((a[:, 0], b)))
-    return np.vstack(sheets), np.vstack(cells)
+        below = corners + layer * len(xy)
+        above = corners + (layer + 1) * len(xy)
+        cells.append(np.column_stack((below, above[:, 2])))
+        cells.append(np.column_stack((below[:, :2], above[:, 1:])))
+        cells.append(np.column_stack((below[:, 0], above)))
+    return np.vstack(points), np.vstack(cells)

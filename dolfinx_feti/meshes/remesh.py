@@ -8,97 +8,165 @@ edges at a vertex (four on a rim), move each vertex to the mean of its neighbour
 original surface (M. Botsch and L. Kobbelt, *A remeshing approach to multiresolution modeling*,
 Symposium on Geometry Processing, 2004). The rims stay on the original rims.
 
-One pass of an operation changes independent edges, those with the lowest rank in their
-neighbourhood. A pass is a few array operations, and its result depends on the surface only.
+One pass of an operation changes independent edges: those with the lowest rank in their
+neighbourhood. So a pass is a few array operations, and the result depends on the surface only.
+
+As in ``surface``, x are points, (n, 3) [mm], and t triangles, (m, 3). Edges are compared by keys:
+a n + b for the edge (a, b) with a < b.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse
 
 from dolfinx_feti.meshes.surface import (
     Edges,
-    Guide,
-    Indices,
-    Mask,
-    Points,
+    SurfaceProjection,
     edge_lengths,
     find_edges,
     triangle_angles,
     triangle_normals,
     vertex_normals,
+    without_collapsed,
 )
+from dolfinx_feti.runtime.arrays import Array, Mask, Numbers
 
 __all__ = ["remesh"]
 
+#: Lengths above which an edge is split and below which it is collapsed, over h: those of Botsch and
+#: Kobbelt. An edge of 4/3 h is as far from h as its halves, 2/3 h; one of 4/5 h is as far from h as
+#: the edges that a collapse extends by half, 6/5 h.
+SPLIT_LENGTH = 4 / 3
+COLLAPSE_LENGTH = 4 / 5
 
-def remesh(x: Points, t: Indices, *, size: float, sweeps: int = 10) -> tuple[Points, Indices]:
+#: Rounds of split, collapse, flip and smooth. A choice that was not measured.
+SWEEPS = 10
+
+#: Upper bound of the rounds of flips in a sweep. A choice that was not measured.
+MAX_FLIP_ROUNDS = 20
+
+#: Rounds of smoothing in a sweep. A choice that was not measured.
+SMOOTHING_ROUNDS = 4
+
+#: Cosine of 60°, the largest angle by which a collapse turns a triangle, and the largest angle
+#: between two triangles that a flip creates. A choice that was not measured.
+MIN_COSINE = 0.5
+
+#: Smallest gain of a flip, in edges or radians: a rounding margin.
+MIN_GAIN = 1e-9
+
+#: Number of edges at a vertex of a regular triangulation, inside and on a rim.
+REGULAR_VALENCE = 6
+REGULAR_RIM_VALENCE = 4
+
+
+def remesh(x: Array, t: Numbers, *, size: float) -> tuple[Array, Numbers]:
     """Return a triangulation of the same surface with edges of about one length.
 
     Args:
         x: Points of the given surface, (n, 3) [mm].
         t: Its triangles, all oriented alike, (m, 3).
         size: Wanted length h of the edges [mm].
-        sweeps: Rounds of split, collapse, flip and smooth.
 
     Returns:
         Points and triangles, oriented as the given ones.
     """
-    guide = Guide(x, t)
-    for _ in range(sweeps):
-        x, t = _split(x, t, 4 / 3 * size)
-        x, t = _collapse(x, t, 4 / 5 * size, 4 / 3 * size)
-        t = _flip(x, t)
-        x = _smooth(x, t, guide)
-    return x, _flip(x, t, by_angle=True)
+    original = SurfaceProjection(x, t)
+    longest = SPLIT_LENGTH * size
+    for _ in range(SWEEPS):
+        x, t = _split(x, t, longest)
+        x, t = _collapse(x, t, shortest=COLLAPSE_LENGTH * size, longest=longest)
+        t = _flip_by_valence(x, t)
+        x = _smooth(x, t, original)
+    return x, _flip_by_angle(x, t)
 
 
-def _rank(able: Mask, value: Points) -> Indices:
-    """Return ranks of edges, (k,): the eligible ones by increasing value, then all others.
+# -- ranks of edges -------------------------------------------------------------------------------
+
+
+def _rank(is_eligible: Mask, values: Array) -> Numbers:
+    """Return ranks of edges, (k,): 0, 1, … for the eligible ones by increasing value, k for others.
 
     Args:
-        able: Mask of the eligible edges, (k,).
-        value: Values, (k,); equal ones are ranked by the number of the edge.
+        is_eligible: Mask of the eligible edges, (k,).
+        values: Value of each edge, (k,); equal ones are ranked by the number of the edge.
     """
-    rank = np.full(len(value), len(value))
-    rank[np.lexsort((value, ~able))[: able.sum()]] = np.arange(able.sum())
+    n_eligible = np.count_nonzero(is_eligible)
+    rank = np.full(len(values), len(values))
+    eligible_first = np.lexsort((values, ~is_eligible))
+    rank[eligible_first[:n_eligible]] = np.arange(n_eligible)
     return rank
 
 
-def _lowest_around(n: int, ends: Indices, rank: Indices) -> Indices:
-    """Return for each edge the lowest rank of an edge at its ends or at their neighbours, (k,)."""
+def _has_lowest_rank(n: int, ends: Numbers, rank: Numbers) -> Mask:
+    """Return a mask of the edges without a lower rank at their ends and neighbours of these, (k,).
+
+    Args:
+        n: Number of vertices.
+        ends: Ends of the edges, (k, 2).
+        rank: Their ranks, (k,).
+    """
     at_vertex = np.full(n, rank.max(initial=0) + 1)
     np.minimum.at(at_vertex, ends, rank[:, None])
-    around = at_vertex.copy()
-    np.minimum.at(around, ends, at_vertex[ends[:, ::-1]])
-    return np.asarray(around[ends].min(axis=1))
+    around_vertex = at_vertex.copy()
+    np.minimum.at(around_vertex, ends, at_vertex[ends[:, ::-1]])
+    return np.asarray(rank == around_vertex[ends].min(axis=1))
 
 
-def _split(x: Points, t: Indices, longest: float) -> tuple[Points, Indices]:
+# -- splits ---------------------------------------------------------------------------------------
+
+
+def _split(x: Array, t: Numbers, longest: float) -> tuple[Array, Numbers]:
     """Split edges longer than ``longest`` at their midpoint, the longest of a triangle first."""
     while True:
         edges = find_edges(t)
         length = edge_lengths(x, edges.ends)
-        rank = _rank(length > longest, -length)
-        # lowest rank in each of the triangles on both sides of an edge
-        first = rank[edges.of_triangle].min(axis=1)[edges.sides]
-        first[edges.sides[:, 1] < 0, 1] = len(rank)
-        chosen = (length > longest) & (rank <= first.min(axis=1))
-        if not chosen.any():
+        is_long = length > longest
+        rank = _rank(is_long, -length)
+        lowest_in_triangle = rank[edges.of_triangle].min(axis=1)  # (m,)
+        lowest_of_both = lowest_in_triangle[edges.triangles]  # (k, 2)
+        lowest_of_both[~edges.is_interior, 1] = len(rank)  # there is no second triangle
+        is_split = is_long & (rank <= lowest_of_both.min(axis=1))
+        if not is_split.any():
             return x, t
-        middle = np.full(len(rank), -1)
-        middle[chosen] = len(x) + np.arange(chosen.sum())
-        x = np.vstack([x, x[edges.ends[chosen]].mean(axis=1)])
-        # the triangles with a chosen edge, opposite to corner a
-        cut, corner = np.nonzero(middle[edges.of_triangle] >= 0)
-        new = middle[edges.of_triangle[cut, corner]]
+        midpoint = np.full(len(rank), -1)  # number of the new vertex on each edge
+        midpoint[is_split] = len(x) + np.arange(np.count_nonzero(is_split))
+        x = np.vstack([x, x[edges.ends[is_split]].mean(axis=1)])
+        # each triangle (a, b, c) with a split edge (b, c) becomes (a, b, new) and (a, new, c)
+        cut, corner = np.nonzero(midpoint[edges.of_triangle] >= 0)
+        new = midpoint[edges.of_triangle[cut, corner]]
         a, b, c = (t[cut, (corner + k) % 3] for k in range(3))
-        halves = np.column_stack([a, b, new]), np.column_stack([a, new, c])
-        t = np.vstack([np.delete(t, cut, axis=0), *halves])
+        first = np.column_stack([a, b, new])
+        second = np.column_stack([a, new, c])
+        t = np.vstack([np.delete(t, cut, axis=0), first, second])
 
 
-def _collapse(x: Points, t: Indices, shortest: float, longest: float) -> tuple[Points, Indices]:
+# -- collapses ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Merges:
+    """Pairs of vertices that become one; no vertex is in two of them.
+
+    Attributes:
+        remaining: Vertices that remain, (k,).
+        removed: Vertices that are merged into these, (k,).
+        places: Positions of the merged vertices, (k, 3).
+    """
+
+    remaining: Numbers
+    removed: Numbers
+    places: Array
+
+    def select(self, mask: Mask) -> Merges:
+        """Return some of the merges, by a mask, (k,)."""
+        return Merges(self.remaining[mask], self.removed[mask], self.places[mask])
+
+
+def _collapse(x: Array, t: Numbers, *, shortest: float, longest: float) -> tuple[Array, Numbers]:
     """Collapse edges shorter than ``shortest``, unless the surface would fold or tear.
 
     Args:
@@ -107,183 +175,265 @@ def _collapse(x: Points, t: Indices, shortest: float, longest: float) -> tuple[P
         shortest: Length below which an edge is collapsed.
         longest: Length that no edge may exceed afterwards.
     """
-    refused: Indices = np.zeros((0, 2), dtype=np.int64)
+    refused: Numbers = np.zeros((0, 2), dtype=np.int64)  # edges that would fold the surface
     while True:
         edges = find_edges(t)
         n = len(x)
         length = edge_lengths(x, edges.ends)
-        able = (length < shortest) & _can_merge(n, edges)
-        # edges are compared as numbers, a n + b for (a, b)
-        able &= ~np.isin(edges.ends @ [n, 1], refused @ [n, 1])
-        rank = _rank(able, length)
-        chosen = edges.ends[able & (rank == _lowest_around(n, edges.ends, rank))]
-        if not len(chosen):
+        is_refused = np.isin(_keys(edges.ends, n), _keys(refused, n))
+        is_eligible = (length < shortest) & _preserves_topology(n, edges) & ~is_refused
+        is_chosen = is_eligible & _has_lowest_rank(n, edges.ends, _rank(is_eligible, length))
+        if not is_chosen.any():
             return x, t
-        rim = edges.on_rim(n)
-        swap = rim[chosen[:, 1]] & ~rim[chosen[:, 0]]  # the vertex on a rim remains
-        onto, removed = np.where(swap[:, None], chosen[:, ::-1], chosen).T
-        at_midpoint = (rim[onto] == rim[removed])[:, None]
-        place = np.where(at_midpoint, (x[onto] + x[removed]) / 2, x[onto])
-        good = _fits(x, t, onto, removed, place, longest)
-        refused = np.vstack([refused, chosen[~good]])
-        x, t, number = _merge(x, t, onto[good], removed[good], place[good])
+        chosen = edges.ends[is_chosen]
+        merges = _merges_of_edges(x, chosen, edges.on_rim(n))
+        keeps_shape = _keeps_shape(x, t, merges, longest)
+        refused = np.vstack([refused, chosen[~keeps_shape]])
+        x, t, number = _merge(x, t, merges.select(keeps_shape))
         refused = np.sort(number[refused], axis=1)
-        refused = refused[refused[:, 0] >= 0]
+        refused = refused[refused[:, 0] >= 0]  # an edge with a removed vertex is another one now
 
 
-def _can_merge(n: int, edges: Edges) -> Mask:
+def _keys(ends: Numbers, n: int) -> Numbers:
+    """Return a number for each pair of n vertices, (k,): a n + b for (a, b)."""
+    return np.asarray(ends @ [n, 1], dtype=np.int64)
+
+
+def _preserves_topology(n: int, edges: Edges) -> Mask:
     """Return a mask of the edges whose collapse preserves the topology, (k,).
 
-    The ends of such an edge have no common neighbours except the vertices across the edge, and an
+    The ends of such an edge have no common neighbours except the vertices opposite to it, and an
     interior edge does not join two rims.
     """
     a, b = edges.ends.T
-    inside = edges.sides[:, 1] >= 0
-    rim = edges.on_rim(n)
+    on_rim = edges.on_rim(n)
     A = scipy.sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(n, n)).tocsr()
     A = A + A.T
-    common = np.asarray(A[a].multiply(A[b]).sum(axis=1)).ravel()
-    return np.asarray((common == 1 + inside) & ~(inside & rim[a] & rim[b]))
+    common_neighbours = np.asarray(A[a].multiply(A[b]).sum(axis=1)).ravel()
+    opposite_vertices = 1 + edges.is_interior
+    joins_rims = edges.is_interior & on_rim[a] & on_rim[b]
+    return np.asarray((common_neighbours == opposite_vertices) & ~joins_rims)
 
 
-def _fits(
-    x: Points, t: Indices, onto: Indices, removed: Indices, place: Points, longest: float
-) -> Mask:
+def _merges_of_edges(x: Array, ends: Numbers, on_rim: Mask) -> Merges:
+    """Return the merges that collapse edges.
+
+    A vertex on a rim remains where it is if the other one is inside; otherwise the merged vertex is
+    at the midpoint.
+
+    Args:
+        x: Points, (n, 3).
+        ends: Ends of the edges, (k, 2).
+        on_rim: Mask of the vertices on a rim, (n,).
+    """
+    second_remains = on_rim[ends[:, 1]] & ~on_rim[ends[:, 0]]
+    remaining, removed = np.where(second_remains[:, None], ends[:, ::-1], ends).T
+    at_midpoint = (on_rim[remaining] == on_rim[removed])[:, None]
+    places = np.where(at_midpoint, (x[remaining] + x[removed]) / 2, x[remaining])
+    return Merges(remaining, removed, places)
+
+
+def _keeps_shape(x: Array, t: Numbers, merges: Merges, longest: float) -> Mask:
     """Return a mask of the merges that turn no triangle by more than 60°, (k,).
 
     Args:
         x: Points, (n, 3).
         t: Triangles, (m, 3).
-        onto: Vertices that remain, (k,).
-        removed: Vertices that are merged into them, (k,).
-        place: Their new position, (k, 3).
+        merges: The merges.
         longest: Length that no edge may exceed afterwards.
     """
-    merge = np.full(len(x), -1)
-    merge[onto] = np.arange(len(onto))
-    merge[removed] = np.arange(len(onto))
+    k = len(merges.remaining)
+    merge_of_vertex = np.full(len(x), -1)
+    merge_of_vertex[merges.remaining] = np.arange(k)
+    merge_of_vertex[merges.removed] = np.arange(k)
     moved = x.copy()
-    moved[onto] = place
-    moved[removed] = place
-    touched = np.sort(merge[t], axis=1)
-    remains = (touched[:, 2] >= 0) & (touched[:, 1] < 0)  # triangles with one moved vertex
-    s = t[remains]
-    turned = np.sum(triangle_normals(x, s) * triangle_normals(moved, s), axis=1) < 0.5  # cos 60°
-    side = np.linalg.norm(moved[s] - moved[np.roll(s, 1, axis=1)], axis=2).max(axis=1)
-    good = np.ones(len(onto), dtype=bool)
-    good[touched[remains, 2][turned | (side > longest)]] = False
-    return good
+    moved[merges.remaining] = merges.places
+    moved[merges.removed] = merges.places
+    merges_of_corners = np.sort(merge_of_vertex[t], axis=1)  # −1 first, for a vertex that stays
+    has_one_moved = (merges_of_corners[:, 2] >= 0) & (merges_of_corners[:, 1] < 0)
+    changed = t[has_one_moved]  # a triangle with two moved vertices vanishes
+    cosine = np.sum(triangle_normals(x, changed) * triangle_normals(moved, changed), axis=1)
+    sides = moved[changed] - moved[np.roll(changed, 1, axis=1)]
+    longest_side = np.linalg.norm(sides, axis=2).max(axis=1)
+    is_bad = (cosine < MIN_COSINE) | (longest_side > longest)
+    keeps_shape = np.ones(k, dtype=bool)
+    keeps_shape[merges_of_corners[has_one_moved, 2][is_bad]] = False
+    return keeps_shape
 
 
-def _merge(
-    x: Points, t: Indices, onto: Indices, removed: Indices, place: Points
-) -> tuple[Points, Indices, Indices]:
-    """Merge vertices and renumber.
+def _merge(x: Array, t: Numbers, merges: Merges) -> tuple[Array, Numbers, Numbers]:
+    """Merge vertices and renumber all of them.
 
     Args:
         x: Points, (n, 3).
         t: Triangles, (m, 3).
-        onto: Vertices that remain, (k,).
-        removed: Vertices that are merged into them, (k,).
-        place: Their new position, (k, 3).
+        merges: The merges.
 
     Returns:
-        Points, triangles, and the new number of each vertex, -1 for removed ones, (n,).
+        Points, triangles, and the new number of each vertex, −1 for a removed one, (n,).
     """
     target = np.arange(len(x))
+    target[merges.removed] = merges.remaining
     remains = np.ones(len(x), dtype=bool)
-    target[removed] = onto
-    remains[removed] = False
+    remains[merges.removed] = False
     x = x.copy()
-    x[onto] = place
-    t = target[t]
-    t = t[(t[:, 0] != t[:, 1]) & (t[:, 1] != t[:, 2]) & (t[:, 2] != t[:, 0])]
+    x[merges.remaining] = merges.places
+    t = without_collapsed(target[t])
     number = np.where(remains, np.cumsum(remains) - 1, -1)
     return x[remains], number[t], number
 
 
-def _flip(x: Points, t: Indices, *, by_angle: bool = False, rounds: int = 20) -> Indices:
-    """Flip edges if this evens out the valences or, ``by_angle``, opens the smallest angle."""
-    for _ in range(rounds):
+# -- flips ----------------------------------------------------------------------------------------
+
+
+def _flip_by_valence(x: Array, t: Numbers) -> Numbers:
+    """Return triangles whose edges are flipped if this evens out the valences, (m, 3)."""
+    for _ in range(MAX_FLIP_ROUNDS):
         edges = find_edges(t)
-        n = len(x)
-        inside = np.flatnonzero(edges.sides[:, 1] >= 0)
-        old = t[edges.sides[inside]]
-        new = _turned(t, edges, inside)
-        gain = _angle_gain(x, old, new) if by_angle else _valence_gain(n, edges, inside)
-        across = np.sort(edges.across[inside], axis=1)
-        able = (gain > 1e-9) & ~np.isin(across @ [n, 1], edges.ends @ [n, 1])
-        able &= ~edges.on_rim(n)[across].all(axis=1) & _faces_alike(x, old, new)
-        value = np.zeros(len(edges.ends))
-        value[inside] = gain
-        mask = np.zeros(len(edges.ends), dtype=bool)
-        mask[inside[able]] = True
-        rank = _rank(mask, -value)
-        chosen = able & (rank == _lowest_around(n, edges.ends, rank))[inside]
-        if not chosen.any():
+        interior = np.flatnonzero(edges.is_interior)
+        gain = _valence_gain(len(x), edges, interior)
+        flipped = _flip_independent(x, t, edges, gain)
+        if flipped is None:
             break
-        t = t.copy()
-        t[edges.sides[inside[chosen]]] = new[chosen]
+        t = flipped
     return t
 
 
-def _turned(t: Indices, edges: Edges, which: Indices) -> Indices:
-    """Return the two triangles on the sides of flipped edges, (k, 2, 3).
+def _flip_by_angle(x: Array, t: Numbers) -> Numbers:
+    """Return triangles whose edges are flipped if this opens their smallest angle, (m, 3)."""
+    for _ in range(MAX_FLIP_ROUNDS):
+        edges = find_edges(t)
+        interior = np.flatnonzero(edges.is_interior)
+        before = t[edges.triangles[interior]]
+        after = _flipped_triangles(t, edges, interior)
+        gain = _smallest_angle(x, after) - _smallest_angle(x, before)
+        flipped = _flip_independent(x, t, edges, gain)
+        if flipped is None:
+            break
+        t = flipped
+    return t
 
-    With the corners c, a, b and d, b, a of the old ones they are c, a, d and d, b, c.
+
+def _flip_independent(x: Array, t: Numbers, edges: Edges, gain: Array) -> Numbers | None:
+    """Return triangles after the flips with the largest gain in their neighbourhood, (m, 3).
+
+    Args:
+        x: Points, (n, 3).
+        t: Triangles, (m, 3).
+        edges: Their edges.
+        gain: Gain by the flip of each interior edge, (interior edges,).
+
+    Returns:
+        The triangles; None if no flip is possible and useful.
     """
-    c, d = edges.across[which].T
-    first = t[edges.sides[which, 0]]
-    at = np.argmax(first == c[:, None], axis=1)
-    k = np.arange(len(which))
-    a = first[k, (at + 1) % 3]
-    b = first[k, (at + 2) % 3]
+    n = len(x)
+    interior = np.flatnonzero(edges.is_interior)
+    before = t[edges.triangles[interior]]
+    after = _flipped_triangles(t, edges, interior)
+    new_ends = np.sort(edges.opposite[interior], axis=1)
+    exists = np.isin(_keys(new_ends, n), _keys(edges.ends, n))
+    joins_rims = edges.on_rim(n)[new_ends].all(axis=1)
+    is_eligible = (gain > MIN_GAIN) & ~exists & ~joins_rims & _keeps_sides(x, before, after)
+    gain_of_edge = np.zeros(len(edges.ends))
+    gain_of_edge[interior] = gain
+    is_eligible_edge = np.zeros(len(edges.ends), dtype=bool)
+    is_eligible_edge[interior] = is_eligible
+    rank = _rank(is_eligible_edge, -gain_of_edge)
+    is_chosen = is_eligible & _has_lowest_rank(n, edges.ends, rank)[interior]
+    if not is_chosen.any():
+        return None
+    flipped = t.copy()
+    flipped[edges.triangles[interior[is_chosen]]] = after[is_chosen]
+    return flipped
+
+
+def _flipped_triangles(t: Numbers, edges: Edges, which: Numbers) -> Numbers:
+    """Return the two triangles of each flipped edge, (k, 2, 3).
+
+    The triangles (c, a, b) and (d, b, a) become (c, a, d) and (d, b, c).
+
+    Args:
+        t: Triangles, (m, 3).
+        edges: Their edges.
+        which: Numbers of the edges, (k,), all of them interior.
+    """
+    c, d = edges.opposite[which].T
+    first = t[edges.triangles[which, 0]]
+    corner_c = np.argmax(first == c[:, None], axis=1)
+    row = np.arange(len(which))
+    a = first[row, (corner_c + 1) % 3]
+    b = first[row, (corner_c + 2) % 3]
     return np.stack([np.column_stack([c, a, d]), np.column_stack([d, b, c])], axis=1)
 
 
-def _valence_gain(n: int, edges: Edges, which: Indices) -> Points:
+def _valence_gain(n: int, edges: Edges, which: Numbers) -> Array:
     """Return the decrease of the sum of squared excess valences by each flip, (k,).
 
-    The excess is that over 6 edges at a vertex, or over 4 on a rim.
+    The excess of a vertex is its number of edges over that in a regular triangulation.
+
+    Args:
+        n: Number of vertices.
+        edges: The edges.
+        which: Numbers of the flipped edges, (k,).
     """
-    excess = np.bincount(edges.ends.ravel(), minlength=n) - np.where(edges.on_rim(n), 4, 6)
-    ends = excess[edges.ends[which]]
-    across = excess[edges.across[which]]
-    gain = ends**2 - (ends - 1) ** 2 + across**2 - (across + 1) ** 2
+    regular = np.where(edges.on_rim(n), REGULAR_RIM_VALENCE, REGULAR_VALENCE)
+    excess = np.bincount(edges.ends.ravel(), minlength=n) - regular
+    at_ends = excess[edges.ends[which]]  # these lose an edge
+    at_opposite = excess[edges.opposite[which]]  # these get one
+    gain = at_ends**2 - (at_ends - 1) ** 2 + at_opposite**2 - (at_opposite + 1) ** 2
     return np.asarray(gain.sum(axis=1), dtype=np.float64)
 
 
-def _angle_gain(x: Points, old: Indices, new: Indices) -> Points:
-    """Return the increase of the smallest angle by each flip [rad], (k,)."""
-    smallest = [triangle_angles(x, s.reshape(-1, 3)).reshape(-1, 6).min(axis=1) for s in (old, new)]
-    return np.asarray(smallest[1] - smallest[0])
+def _smallest_angle(x: Array, pairs: Numbers) -> Array:
+    """Return the smallest angle in each pair of triangles, (k, 2, 3), in radians, (k,)."""
+    angles = triangle_angles(x, pairs.reshape(-1, 3))
+    return np.asarray(angles.reshape(-1, 6).min(axis=1))
 
 
-def _faces_alike(x: Points, old: Indices, new: Indices) -> Mask:
+def _keeps_sides(x: Array, before: Numbers, after: Numbers) -> Mask:
     """Return a mask of the flips whose triangles face the side of the old ones, (k,).
 
     The normals of the two new triangles also differ by less than 60°.
+
+    Args:
+        x: Points, (n, 3).
+        before: Triangles before each flip, (k, 2, 3).
+        after: Triangles after it, (k, 2, 3).
     """
-    before = triangle_normals(x, old.reshape(-1, 3)).reshape(-1, 2, 3).sum(axis=1)
-    n, m = np.moveaxis(triangle_normals(x, new.reshape(-1, 3)).reshape(-1, 2, 3), 1, 0)
-    forward = (np.sum(before * n, axis=1) > 0) & (np.sum(before * m, axis=1) > 0)
-    return np.asarray(forward & (np.sum(n * m, axis=1) > 0.5))  # cos 60°
+    old_normal = triangle_normals(x, before.reshape(-1, 3)).reshape(-1, 2, 3).sum(axis=1)
+    n_1, n_2 = np.moveaxis(triangle_normals(x, after.reshape(-1, 3)).reshape(-1, 2, 3), 1, 0)
+    faces_old_side = (np.sum(old_normal * n_1, axis=1) > 0) & (np.sum(old_normal * n_2, axis=1) > 0)
+    return np.asarray(faces_old_side & (np.sum(n_1 * n_2, axis=1) > MIN_COSINE))
 
 
-def _smooth(x: Points, t: Indices, guide: Guide, *, rounds: int = 4) -> Points:
-    """Move the vertices to the mean of their neighbours, and back onto the original surface."""
+# -- smoothing ------------------------------------------------------------------------------------
+
+
+def _smooth(x: Array, t: Numbers, original: SurfaceProjection) -> Array:
+    """Move the vertices to the mean of their neighbours, and back onto the original surface.
+
+    A vertex on a rim moves to the mean of its two neighbours on the rim.
+
+    Args:
+        x: Points, (n, 3).
+        t: Triangles, (m, 3).
+        original: Projection onto the original surface.
+    """
     edges = find_edges(t)
     n = len(x)
-    rim = edges.on_rim(n)
+    on_rim = edges.on_rim(n)
     both_ways = np.vstack([edges.ends, edges.ends[:, ::-1]])
-    weight = np.tile(edges.sides[:, 1] < 0, 2) | ~rim[both_ways[:, 0]]
-    M = scipy.sparse.coo_matrix((weight.astype(float), tuple(both_ways.T)), shape=(n, n)).tocsr()
-    M = scipy.sparse.diags(1 / np.asarray(M.sum(axis=1)).ravel()) @ M
-    for _ in range(rounds):
-        step = M @ x - x
+    is_used = np.tile(~edges.is_interior, 2) | ~on_rim[both_ways[:, 0]]
+    sums = scipy.sparse.coo_matrix(
+        (is_used.astype(float), tuple(both_ways.T)), shape=(n, n)
+    ).tocsr()
+    means = scipy.sparse.diags(1 / np.asarray(sums.sum(axis=1)).ravel()) @ sums
+    for _ in range(SMOOTHING_ROUNDS):
+        step = means @ x - x
         normal = vertex_normals(x, t)
-        y = x + step - np.sum(step * normal, axis=1, keepdims=True) * normal
+        along_normal = np.sum(step * normal, axis=1, keepdims=True)
+        tangential = x + step - along_normal * normal
         x = x + step
-        x[~rim] = guide.project(y[~rim])
-        x[rim] = guide.project_on_rim(x[rim])
+        x[~on_rim] = original.project(tangential[~on_rim])
+        x[on_rim] = original.project_on_rim(x[on_rim])
     return x

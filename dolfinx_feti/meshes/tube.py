@@ -17,24 +17,53 @@ from __future__ import annotations
 
 import argparse
 import logging
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from dolfinx_feti.meshes.arguments import count, positive, refusals
-from dolfinx_feti.meshes.layers import grow, sheets
-from dolfinx_feti.meshes.surface import Indices, Points
-from dolfinx_feti.meshes.wall_mesh import TAGS, Quality, measure_quality, write_mesh
+from dolfinx_feti.meshes.arguments import count, exit_on_errors, positive
+from dolfinx_feti.meshes.files import write_wall_arrays
+from dolfinx_feti.meshes.layers import Rim, create_sheets, grow_wall
+from dolfinx_feti.meshes.quality import MeshQuality, measure_quality
+from dolfinx_feti.meshes.tags import SURFACE_TAGS
+from dolfinx_feti.runtime.arrays import Array, Numbers
 
-__all__ = ["count_around", "create_tube"]
+__all__ = ["Counts", "count_around", "create_tube", "element_counts", "unit_tube"]
 
-#: Inner radius of the lumen, thickness of the media and of the adventitia [mm]: a rabbit's carotid
-#: artery (Holzapfel, Gasser, Ogden 2000).
+#: Radius of the lumen [mm]: a rabbit's carotid artery (Holzapfel, Gasser, Ogden 2000).
 INNER_RADIUS = 0.71
+
+#: Thickness of the media of the same artery [mm].
 MEDIA = 0.26
+
+#: Thickness of its adventitia [mm].
 ADVENTITIA = 0.13
 
+#: Fewest elements around a whole tube if their number follows from their size: a coarser tube is
+#: not round.
+MIN_AROUND = 8
+
+#: Coordinates of a unit tube that are rounding: cos 90° is 6e-17, the smallest one that is not zero
+#: is about one over the number of elements. They become zero, so points lie in the symmetry planes.
+ZERO_ATOL = 1e-15
+
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """Numbers of elements of a tube.
+
+    Attributes:
+        through: Through the media and through the adventitia.
+        around: Around the circumference, or a quarter of it for a quarter.
+        along: Along the axis.
+    """
+
+    through: tuple[int, int]
+    around: int
+    along: int
 
 
 def create_tube(
@@ -46,11 +75,11 @@ def create_tube(
     through: tuple[int, int] | None = None,
     around: int | None = None,
     along: int | None = None,
-) -> Quality:
-    """Write the two-layer tube with named layers and surfaces.
+) -> MeshQuality:
+    """Write the two-layer tube with named layers and surfaces. Serial.
 
     Args:
-        path: The file, `*.msh` for Gmsh's format, `*.xdmf` for one that all processes read.
+        path: The file, `*.msh` for Gmsh's format, `*.xdmf` for one that all processes can read.
         length: Length [mm].
         size: Wanted length of the edges [mm]; the numbers below follow from it if not given.
         quarter: Only the part with x ≥ 0 and y ≥ 0.
@@ -59,47 +88,75 @@ def create_tube(
         along: Elements along the axis.
 
     Returns:
-        Numbers and the histogram of the quality.
+        Size and quality of the mesh.
 
     Raises:
         ValueError: An argument is out of its range.
-
-    Note:
-        Serial: call it on one process.
     """
     for name, value in (("length", length), ("size", size)):
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name}={value} is not a positive number of millimetres")
-    around = count_around(size, quarter=quarter) if around is None else around
-    along = _count(length, size) if along is None else along
-    through = (_count(MEDIA, size), _count(ADVENTITIA, size)) if through is None else through
-    if min(*through, along, around) < 1 or (around < 3 and not quarter):
+    counts = element_counts(
+        length, size, quarter=quarter, through=through, around=around, along=along
+    )
+    fewest_around = 1 if quarter else 3
+    if min(*counts.through, counts.along) < 1 or counts.around < fewest_around:
         raise ValueError(
-            f"through={through}, around={around}, along={along}: take one element or more in each "
-            "direction, three or more around a whole tube"
+            f"through={counts.through}, around={counts.around}, along={counts.along}: take one "
+            "element or more in each direction, three or more around a whole tube"
         )
-    unit_points, t, rim = _lumen(around, along, quarter=quarter)
-    outer = INNER_RADIUS + MEDIA + ADVENTITIA
-    scale = np.array([1, 1, length])
-    x, y = (unit_points * [radius, radius, 1] * scale for radius in (INNER_RADIUS, outer))
-    layers = sheets((MEDIA, ADVENTITIA), through, (TAGS["media"], TAGS["adventitia"]))
-    mesh = grow(x, y, t, through=layers, rim=rim)
-    write_mesh(Path(path), mesh)
-    quality = measure_quality(mesh)
+    unit_points, t, rim = unit_tube(counts.around, counts.along, quarter=quarter)
+    outer_radius = INNER_RADIUS + MEDIA + ADVENTITIA
+    lengths = np.array([1, 1, length])
+    x = unit_points * [INNER_RADIUS, INNER_RADIUS, 1] * lengths
+    y = unit_points * [outer_radius, outer_radius, 1] * lengths
+    sheets = create_sheets({"media": MEDIA, "adventitia": ADVENTITIA}, counts.through)
+    arrays = grow_wall(x, y, t, sheets=sheets, rim=rim)
+    write_wall_arrays(Path(path), arrays)
+    quality = measure_quality(arrays.points, arrays.cells)
     log.info("%s", quality)
     return quality
 
 
+def element_counts(
+    length: float,
+    size: float,
+    *,
+    quarter: bool,
+    through: tuple[int, int] | None = None,
+    around: int | None = None,
+    along: int | None = None,
+) -> Counts:
+    """Return the numbers of elements of a tube, as given or for edges of about one length.
+
+    Args:
+        length: Length of the tube [mm].
+        size: Wanted length of the edges [mm].
+        quarter: Only the part with x ≥ 0 and y ≥ 0.
+        through: Elements through the media and through the adventitia, if given.
+        around: Elements around the circumference (a quarter of it for the quarter), if given.
+        along: Elements along the axis, if given.
+    """
+    if through is None:
+        through = (_count(MEDIA, size), _count(ADVENTITIA, size))
+    if around is None:
+        around = count_around(size, quarter=quarter)
+    if along is None:
+        along = _count(length, size)
+    return Counts(through, around, along)
+
+
 def count_around(size: float, *, quarter: bool) -> int:
-    """Return the number of elements around a tube, or a quarter of it.
+    """Return the number of elements around a tube, or around a quarter of it.
 
     Args:
         size: Wanted length of the edges in the middle of the wall [mm].
         quarter: Only the part with x ≥ 0 and y ≥ 0.
     """
-    # at least 8 elements around the tube: a coarser one is not round
     circumference = 2 * np.pi * (INNER_RADIUS + (MEDIA + ADVENTITIA) / 2)
-    return _count(circumference / 4, size, 2) if quarter else _count(circumference, size, 8)
+    if quarter:
+        return _count(circumference / 4, size, MIN_AROUND // 4)
+    return _count(circumference, size, MIN_AROUND)
 
 
 def _count(extent: float, size: float, minimum: int = 1) -> int:
@@ -107,36 +164,46 @@ def _count(extent: float, size: float, minimum: int = 1) -> int:
     return max(minimum, round(extent / size))
 
 
-def _lumen(
-    around: int, along: int, *, quarter: bool
-) -> tuple[Points, Indices, tuple[Indices, Indices]]:
-    """Return points, triangles facing outwards, and the tagged rim of a unit tube.
+def unit_tube(around: int, along: int, *, quarter: bool) -> tuple[Array, Numbers, Rim]:
+    """Return points, triangles facing outwards, and the rim of a tube of radius and length 1.
 
-    Radius and length are 1. Squares are cut along alternating diagonals; point (i, j) is the i-th
-    around and the j-th along.
+    Point (i, j) is the i-th around and the j-th along. The squares between the points are cut along
+    alternating diagonals.
+
+    Args:
+        around: Squares around the tube, or around a quarter of it.
+        along: Squares along the axis.
+        quarter: Only the part with x ≥ 0 and y ≥ 0.
+
+    Returns:
+        Points, (n, 3), triangles, (m, 3), and the rim.
     """
     columns = around + 1 if quarter else around
-    angle = np.arange(columns) * (np.pi / 2 if quarter else 2 * np.pi) / around
+    whole_angle = np.pi / 2 if quarter else 2 * np.pi
+    angle = np.arange(columns) * whole_angle / around
     z, angle = np.meshgrid(np.linspace(0, 1, along + 1), angle, indexing="ij")
     x = np.column_stack([np.cos(angle).ravel(), np.sin(angle).ravel(), z.ravel()])
-    x[np.abs(x) < 1e-15] = 0  # without rounding, so that points lie in the symmetry planes
+    x[np.abs(x) < ZERO_ATOL] = 0
+
+    # corners a, b, c, d of each square, counter-clockwise seen from outside
     j, i = (k.ravel() for k in np.meshgrid(np.arange(along), np.arange(around), indexing="ij"))
-    right = (i + 1) % columns
     a = j * columns + i
-    b = j * columns + right
+    b = j * columns + (i + 1) % columns
     c = b + columns
     d = a + columns
-    even = ((i + j) % 2 == 0)[:, None]
-    first = np.where(even, np.column_stack([a, b, c]), np.column_stack([a, b, d]))
-    second = np.where(even, np.column_stack([a, c, d]), np.column_stack([b, c, d]))
-    bottom = np.column_stack([a, b])[j == 0]
-    top = np.column_stack([d, c])[j == along - 1]
-    rims = [(bottom, "opening_1"), (top, "opening_2")]
+    is_even = ((i + j) % 2 == 0)[:, None]
+    first = np.where(is_even, np.column_stack([a, b, c]), np.column_stack([a, b, d]))
+    second = np.where(is_even, np.column_stack([a, c, d]), np.column_stack([b, c, d]))
+
+    rims = {
+        "opening_1": np.column_stack([a, b])[j == 0],
+        "opening_2": np.column_stack([d, c])[j == along - 1],
+    }
     if quarter:
-        rims.append((np.column_stack([a, d])[i == 0], "symmetry_y"))
-        rims.append((np.column_stack([b, c])[i == around - 1], "symmetry_x"))
-    tags = np.repeat([TAGS[name] for _, name in rims], [len(edges) for edges, _ in rims])
-    return x, np.vstack([first, second]), (np.vstack([edges for edges, _ in rims]), tags)
+        rims["symmetry_y"] = np.column_stack([a, d])[i == 0]
+        rims["symmetry_x"] = np.column_stack([b, c])[i == around - 1]
+    tags = np.concatenate([np.full(len(e), SURFACE_TAGS[name]) for name, e in rims.items()])
+    return x, np.vstack([first, second]), Rim(np.vstack(list(rims.values())), tags)
 
 
 def main() -> None:
@@ -145,9 +212,9 @@ def main() -> None:
         "python3 -m dolfinx_feti.meshes.tube", description="A two-layer tube."
     )
     parser.add_argument("file", type=Path, help="the file to write, *.msh or *.xdmf")
-    parser.add_argument("--length", type=positive, default=3.0, help="[mm]")
-    parser.add_argument("--size", type=positive, default=0.13, help="of the elements [mm]")
-    parser.add_argument("--quarter", action="store_true", help="only a quarter")
+    parser.add_argument("--length", type=positive, default=3.0, help="length of the tube [mm]")
+    parser.add_argument("--size", type=positive, default=0.13, help="length of the edges [mm]")
+    parser.add_argument("--quarter", action="store_true", help="only the part with x, y ≥ 0")
     parser.add_argument("--through", type=count, nargs=2, help="elements in media and adventitia")
     parser.add_argument("--around", type=count, help="elements around")
     parser.add_argument("--along", type=count, help="elements along")
@@ -155,7 +222,7 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     if options["through"]:
         options["through"] = tuple(options["through"])
-    with refusals(parser):
+    with exit_on_errors(parser):
         create_tube(options.pop("file"), **options)
 
 

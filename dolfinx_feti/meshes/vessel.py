@@ -13,11 +13,12 @@ Another lumen with open ends is read from an STL file, and ``--layers`` names th
     python3 -m dolfinx_feti.meshes.vessel wall.msh --surface lumen.stl --layers wall --thickness 1.0
 
 1. remesh the surface to triangles of one size (:mod:`dolfinx_feti.meshes.remesh`),
-2. grow the layers outwards along averaged normals, by default the media (two thirds) and the
-   adventitia (one third),
-3. move the tops of the columns that degenerate in the crotches (:mod:`dolfinx_feti.meshes.layers`),
-4. tag: the first sheet is the lumen, the last one the outer wall, and the faces above the rims are
-   the openings, the longest rim first.
+2. grow columns outwards along averaged normals, by default with two layers, the media (two
+   thirds) and the adventitia (one third),
+3. move the tops of the columns that degenerate (:mod:`dolfinx_feti.meshes.bad_columns`),
+4. cut the columns into tetrahedra (:mod:`dolfinx_feti.meshes.layers`) and tag: the first sheet is
+   the lumen, the last one the outer wall, and the faces above the rims are the openings, the
+   longest rim first.
 """
 
 from __future__ import annotations
@@ -27,41 +28,37 @@ import importlib.util
 import logging
 import site
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import scipy.sparse
 import scipy.sparse.csgraph
 
-from dolfinx_feti.meshes.arguments import count, positive, refusals, share
-from dolfinx_feti.meshes.layers import grow, improve_tops, sheets
+from dolfinx_feti.meshes.arguments import count, exit_on_errors, layer_share, positive
+from dolfinx_feti.meshes.bad_columns import improve_tops
+from dolfinx_feti.meshes.files import write_wall_arrays
+from dolfinx_feti.meshes.layers import Rim, create_sheets, grow_wall
+from dolfinx_feti.meshes.quality import MeshQuality, measure_quality
 from dolfinx_feti.meshes.remesh import remesh
-from dolfinx_feti.meshes.surface import (
-    Indices,
-    Points,
-    edge_lengths,
-    find_edges,
-    read_stl,
-    unit,
-    vertex_normals,
-)
-from dolfinx_feti.meshes.wall_mesh import TAGS, Quality, measure_quality, write_mesh
+from dolfinx_feti.meshes.surface import edge_lengths, find_edges, read_stl, unit, vertex_normals
+from dolfinx_feti.meshes.tags import SURFACE_TAGS
+from dolfinx_feti.runtime.arrays import Array, Numbers
 
 __all__ = ["create_vessel", "find_surface"]
 
 #: File of Gmsh's example.
-SURFACE = "aneurysm_data.stl"
+EXAMPLE_FILE = "aneurysm_data.stl"
 
 #: Folders with it, below the root of an installation: those of the wheel and of Debian's package.
-FOLDERS = ("share/doc/gmsh/examples/api", "share/doc/gmsh-doc/doc/gmsh/examples/api")
+EXAMPLE_FOLDERS = ("share/doc/gmsh/examples/api", "share/doc/gmsh-doc/doc/gmsh/examples/api")
 
 #: Lowest quality (minSICN) of a tetrahedron in a wall that is written: walls of the default size
 #: have 0.24 and more (meshes/README.md); flatter tetrahedra degrade the stresses first.
 MIN_QUALITY = 0.1
 
-#: The layers of an artery and their shares of the thickness.
-LAYERS = {"media": 2 / 3, "adventitia": 1 / 3}
+#: Layers of an artery and their shares of the thickness.
+ARTERY_LAYERS = {"media": 2 / 3, "adventitia": 1 / 3}
 
 log = logging.getLogger(__name__)
 
@@ -71,48 +68,43 @@ def create_vessel(
     *,
     size: float = 1.2,
     thickness: float = 1.0,
-    layers: Mapping[str, float] = LAYERS,
+    layers: Mapping[str, float] = ARTERY_LAYERS,
     through: Sequence[int] | None = None,
     surface: Path | str | None = None,
     scale: float = 1.0,
-) -> Quality:
-    """Write the wall of a vessel with named layers and surfaces.
+) -> MeshQuality:
+    """Write the wall of a vessel with named layers and surfaces. Serial.
 
     Args:
-        path: The file, `*.msh` for Gmsh's format, `*.xdmf` for one that all processes read.
+        path: The file, `*.msh` for Gmsh's format, `*.xdmf` for one that all processes can read.
         size: Length of the triangles' edges on the lumen [mm]; 1.2 gives 40 000 tetrahedra.
         thickness: Thickness of the wall [mm].
         layers: The names of the layers from the inside out, and their shares of the thickness.
         through: Elements through each layer; None for one.
         surface: An STL file of a lumen with open ends; None for Gmsh's example.
-        scale: Millimetres in its unit of length.
+        scale: Millimetres in the unit of length of the STL file.
 
     Returns:
-        Numbers and the histogram of the quality.
+        Size and quality of the mesh.
 
     Raises:
         FileNotFoundError: There is no surface.
-        ValueError: The surface is closed or damaged, an argument is out of its range, or an
-            element is worse than 0.1.
-
-    Note:
-        Serial: call it on one process.
+        ValueError: The surface is closed or damaged, an argument is out of its range, or the
+            quality of an element is below 0.1.
     """
-    path = Path(path)
     through = [1] * len(layers) if through is None else list(through)
     _check(layers, through, size=size, thickness=thickness, scale=scale)
     source = find_surface() if surface is None else Path(surface)
     log.info("remeshing %s with edges of %g mm", source, size)
     corners, triangles = read_stl(source)
-    x, t = remesh(*_outward(scale * corners, triangles), size=size)
-    rim = _rims(x, t)
+    x, t = remesh(*_face_outwards(scale * corners, triangles), size=size)
+    rim = _tagged_rim(x, t)
     log.info("growing a wall of %g mm on %d triangles", thickness, len(t))
-    tags = layer_tags(layers)
-    heights, between = sheets(list(layers.values()), through, list(tags.values()))
-    y = x + thickness * _directions(x, t, rim)
-    y = improve_tops(x, y, t, heights=heights)
-    mesh = grow(x, y, t, through=(heights, between), rim=rim)
-    quality = measure_quality(mesh)
+    sheets = create_sheets(layers, through)
+    y = x + thickness * _growth_directions(x, t, rim)
+    y = improve_tops(x, y, t, heights=sheets.heights)
+    arrays = grow_wall(x, y, t, sheets=sheets, rim=rim)
+    quality = measure_quality(arrays.points, arrays.cells)
     log.info("%s", quality)
     if quality.minimum < MIN_QUALITY:
         raise ValueError(
@@ -120,7 +112,7 @@ def create_vessel(
             f"tetrahedra has a quality of {quality.minimum:.3f}, less than {MIN_QUALITY}: take a "
             "size of one to two times the thickness, or a thinner wall"
         )
-    write_mesh(path, mesh, {name: TAGS[name] for name in TAGS if name not in LAYERS} | tags)
+    write_wall_arrays(Path(path), arrays)
     return quality
 
 
@@ -138,21 +130,16 @@ def find_surface(folders: Sequence[Path] | None = None) -> Path:
         above = list(Path(spec.origin).resolve().parents)[:5] if spec and spec.origin else []
         bases = [sys.prefix, sys.base_prefix, site.getuserbase(), "/usr", "/usr/local"]
         roots = [*above, *(Path(base) for base in bases)]
-        folders = [root / folder for root in roots for folder in FOLDERS]
+        folders = [root / folder for root in roots for folder in EXAMPLE_FOLDERS]
     for folder in folders:
-        for name in (SURFACE, SURFACE + ".gz"):
+        for name in (EXAMPLE_FILE, EXAMPLE_FILE + ".gz"):
             if (folder / name).is_file():
                 return folder / name
     raise FileNotFoundError(
-        f"Gmsh's example surface {SURFACE} is not on this machine. Install it with `apt install "
-        "gmsh-doc` (Debian, Ubuntu) or `pip install gmsh`, or name an STL file of your own with "
-        "surface= (--surface)."
+        f"Gmsh's example surface {EXAMPLE_FILE} is not on this machine. Install it with "
+        "`apt install gmsh-doc` (Debian, Ubuntu) or `pip install gmsh`, or name an STL file of "
+        "your own with surface= (--surface)."
     )
-
-
-def layer_tags(names: Iterable[str]) -> dict[str, int]:
-    """Return the tags of layers: those that media and adventitia always have, others from 101."""
-    return {name: TAGS[name] if name in LAYERS else 100 + i for i, name in enumerate(names, 1)}
 
 
 def _check(layers: Mapping[str, float], through: Sequence[int], **lengths: float) -> None:
@@ -167,7 +154,7 @@ def _check(layers: Mapping[str, float], through: Sequence[int], **lengths: float
     for name, value in layers.items():
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"layers: the share {value} of {name!r} is not a positive number")
-        if not name or '"' in name or name in TAGS.keys() - LAYERS.keys():
+        if not name or '"' in name or name in SURFACE_TAGS:
             raise ValueError(f"layers: {name!r} is the name of a surface or none: take another one")
     if not layers:
         raise ValueError("layers is empty: name a layer, as in {'wall': 1.0}")
@@ -177,7 +164,7 @@ def _check(layers: Mapping[str, float], through: Sequence[int], **lengths: float
         )
 
 
-def _outward(x: Points, t: Indices) -> tuple[Points, Indices]:
+def _face_outwards(x: Array, t: Numbers) -> tuple[Array, Numbers]:
     """Return a surface whose triangles face outwards: all are turned if they face inwards.
 
     They do if the volume inside, with each rim closed by a cone, is negative.
@@ -189,49 +176,58 @@ def _outward(x: Points, t: Indices) -> tuple[Points, Indices]:
     Raises:
         ValueError: The surface is closed, or two triangles at an edge face different sides.
     """
-    # each edge of a triangle as one number, and of the triangle on its other side
-    half = t[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    key = half @ [len(x), 1]
-    reverse = half[:, ::-1] @ [len(x), 1]
-    if len(np.unique(key)) < len(key):
+    # sides of the triangles, with their direction; a side (a, b) has the key a n + b
+    sides = t[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    keys = sides @ [len(x), 1]
+    reversed_keys = sides[:, ::-1] @ [len(x), 1]  # of the triangle on the other side
+    if len(np.unique(keys)) < len(keys):
         raise ValueError("The triangles of the surface do not face one way: repair the surface")
-    rim = half[~np.isin(key, reverse)]
+    rim = sides[~np.isin(keys, reversed_keys)]
     if not len(rim):
         raise ValueError("The surface is closed: a vessel needs open ends")
     loop = _loops(rim, len(x))
-    # tips of the cones, the centres of the rims; then six times the volume
     sums = np.column_stack([np.bincount(loop, x[rim[:, 0], k]) for k in range(3)])
-    tips = (sums / np.bincount(loop)[:, None])[loop]
+    centres = sums / np.bincount(loop)[:, None]  # of the rims: tips of the cones
     a, b, c = np.moveaxis(x[t], 1, 0)
-    volume = np.sum(a * np.cross(b, c)) + np.sum(x[rim[:, 1]] * np.cross(x[rim[:, 0]], tips))
-    return (x, t) if volume > 0 else (x, t[:, ::-1])
+    inside_surface = np.sum(a * np.cross(b, c))
+    inside_cones = np.sum(x[rim[:, 1]] * np.cross(x[rim[:, 0]], centres[loop]))
+    six_volumes = inside_surface + inside_cones
+    return (x, t) if six_volumes > 0 else (x, t[:, ::-1])
 
 
-def _loops(rim: Indices, n: int) -> Indices:
-    """Return the number of the loop on which each edge of the rim lies; n vertices in all."""
+def _loops(rim: Numbers, n: int) -> Numbers:
+    """Return the number of the loop on which each edge lies, (k,).
+
+    Args:
+        rim: Ends of the edges of all rims, (k, 2).
+        n: Number of vertices.
+    """
     graph = scipy.sparse.coo_matrix((np.ones(len(rim)), tuple(rim.T)), shape=(n, n))
     _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     return np.asarray(np.unique(label[rim[:, 0]], return_inverse=True)[1])
 
 
-def _rims(x: Points, t: Indices) -> tuple[Indices, Indices]:
-    """Return the edges of the rims and the tags of their openings, the longest rim first."""
-    rim = find_edges(t).rim
-    loop = _loops(rim, len(x))
-    length = np.bincount(loop, edge_lengths(x, rim))
+def _tagged_rim(x: Array, t: Numbers) -> Rim:
+    """Return the rim of a surface, with the tags of its openings, the longest one first."""
+    edges = find_edges(t).rim
+    loop = _loops(edges, len(x))
+    length = np.bincount(loop, edge_lengths(x, edges))
     rank = np.argsort(np.argsort(-length))
-    return rim, TAGS["opening_1"] + rank[loop]
+    return Rim(edges, SURFACE_TAGS["opening_1"] + rank[loop])
 
 
-def _directions(x: Points, t: Indices, rim: tuple[Indices, Indices]) -> Points:
-    """Return the directions to grow: the normals, on a rim within its plane, so cuts are flat."""
+def _growth_directions(x: Array, t: Numbers, rim: Rim) -> Array:
+    """Return the directions in which the wall grows, unit vectors, (n, 3).
+
+    They are the normals at the vertices. On a rim they lie in its plane, so the cut faces are flat.
+    """
     direction = vertex_normals(x, t)
-    edges, tags = rim
-    for tag in np.unique(tags):
-        loop = np.unique(edges[tags == tag])
-        axis = np.linalg.svd(x[loop] - x[loop].mean(axis=0), full_matrices=False)[2][2]
-        flat = direction[loop] - (direction[loop] @ axis)[:, None] * axis
-        direction[loop] = unit(flat)
+    for tag in np.unique(rim.tags):
+        loop = np.unique(rim.edges[rim.tags == tag])
+        _, _, axes = np.linalg.svd(x[loop] - x[loop].mean(axis=0), full_matrices=False)
+        axis = axes[2]  # normal of the plane that fits the rim best
+        in_plane = direction[loop] - (direction[loop] @ axis)[:, None] * axis
+        direction[loop] = unit(in_plane)
     return direction
 
 
@@ -242,21 +238,23 @@ def main() -> None:
     )
     parser.add_argument("file", type=Path, help="the file to write, *.msh or *.xdmf")
     parser.add_argument("--size", type=positive, default=1.2, help="edges on the lumen [mm]")
-    parser.add_argument("--thickness", type=positive, default=1.0, help="of the wall [mm]")
+    parser.add_argument("--thickness", type=positive, default=1.0, help="thickness [mm]")
     parser.add_argument(
         "--layers",
-        type=share,
+        type=layer_share,
         nargs="+",
         metavar="NAME=SHARE",
-        default=list(LAYERS.items()),
-        help="from the inside out, and their shares of the thickness, media=2 adventitia=1",
+        default=list(ARTERY_LAYERS.items()),
+        help="layers from the inside out, and their shares of the thickness (media=2 adventitia=1)",
     )
-    parser.add_argument("--through", type=count, nargs="+", help="elements in each layer, 1")
+    parser.add_argument("--through", type=count, nargs="+", help="elements through each layer (1)")
     parser.add_argument("--surface", type=Path, help="an STL file of a lumen with open ends")
-    parser.add_argument("--scale", type=positive, default=1.0, help="mm in its unit of length, 1")
+    parser.add_argument(
+        "--scale", type=positive, default=1.0, help="mm in the unit of the STL file (1)"
+    )
     options = vars(parser.parse_args())
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    with refusals(parser):
+    with exit_on_errors(parser):
         create_vessel(options.pop("file"), **options | {"layers": dict(options["layers"])})
 
 

@@ -19,9 +19,9 @@ from mpi4py import MPI
 
 import numpy as np
 
+from dolfinx_feti.meshes.quality import MeshQuality, measure_quality
 from dolfinx_feti.meshes.tube import create_tube
 from dolfinx_feti.meshes.vessel import create_vessel
-from dolfinx_feti.meshes.wall_mesh import Quality, WallMesh, measure_quality
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.collective import on_root
 from dolfinx_feti.wall.casefile import Case, Tissue, read_case
@@ -32,15 +32,23 @@ from dolfinx_feti.wall.fibres import ANGLES
 from dolfinx_feti.wall.wall import Wall, openings
 from dolfinx_feti.wall.wallfile import read_wall
 
-__all__ = ["CREATE", "create_tube_wall", "grow", "open_case", "open_wall", "wall_quality"]
+__all__ = [
+    "GENERATORS",
+    "create_tube_wall",
+    "generate_wall",
+    "open_case",
+    "open_wall",
+    "wall_quality",
+]
 
-#: Generators of walls by name: each writes a file.
-CREATE: dict[str, Callable[..., Quality]] = {"vessel": create_vessel, "tube": create_tube}
+#: Generators of walls by name. Each writes a file: its arguments are the path and the keyword
+#: ``size``, the wanted length of the edges [mm].
+GENERATORS: dict[str, Callable[..., MeshQuality]] = {"vessel": create_vessel, "tube": create_tube}
 
 
 def open_wall(
     source: str | Path, comm: MPI.Comm, *, size: float | None, folder: Path, scale: float = 1.0
-) -> tuple[Wall, Quality]:
+) -> tuple[Wall, MeshQuality]:
     """Read a wall, or generate it and keep its file for the next time.
 
     Args:
@@ -59,14 +67,14 @@ def open_wall(
     Note:
         Collective.
     """
-    path = on_root(lambda: _prepare(source, size, folder), comm)
+    path = on_root(lambda: _path_of_wall(source, size, folder), comm)
     wall = read_wall(path, comm, scale=scale)
     return wall, wall_quality(wall)
 
 
 def open_case(
     file: Path | None, mesh: str | Path, comm: MPI.Comm, *, size: float | None, folder: Path
-) -> tuple[Case, Wall, Quality]:
+) -> tuple[Case, Wall, MeshQuality]:
     """Read a case and its wall; without a file, create the case of an artery under 10 mmHg.
 
     Args:
@@ -91,7 +99,7 @@ def open_case(
         case = artery_case(wall, str(mesh))
     else:
         case = read_case(file, comm)
-        source = case.mesh if case.mesh in CREATE else file.parent / case.mesh
+        source = case.mesh if case.mesh in GENERATORS else file.parent / case.mesh
         wall, quality = open_wall(source, comm, size=size, folder=folder, scale=case.scale)
     case.check(wall)
     return case, wall, quality
@@ -126,16 +134,14 @@ def create_tube_wall(comm: MPI.Comm, **geometry: Any) -> Wall:
         comm: Communicator of the mesh.
         geometry: Keyword arguments of :func:`dolfinx_feti.meshes.tube.create_tube`.
     """
-    return grow(lambda path: create_tube(path, **geometry), comm)
+    return generate_wall(lambda path: create_tube(path, **geometry), comm)
 
 
-def grow(write: Callable[[Path], object], comm: MPI.Comm) -> Wall:
-    """Generate a wall on the first process, and distribute it by a temporary file.
-
-    (:func:`dolfinx_feti.meshes.layers.grow` creates the arrays of such a wall.)
+def generate_wall(generate: Callable[[Path], object], comm: MPI.Comm) -> Wall:
+    """Generate a wall on the first process, and distribute it through a temporary file.
 
     Args:
-        write: Generates an XDMF file.
+        generate: Writes an XDMF file.
         comm: Communicator of the mesh.
 
     Raises:
@@ -144,18 +150,18 @@ def grow(write: Callable[[Path], object], comm: MPI.Comm) -> Wall:
     Note:
         Collective.
     """
-    with ExitStack() as until_read:
+    with ExitStack() as until_wall_is_read:
 
-        def write_beside() -> Path:
+        def generate_in_temporary_folder() -> Path:
             folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
-            path = Path(until_read.enter_context(folder)) / "wall.xdmf"
-            write(path)
+            path = Path(until_wall_is_read.enter_context(folder)) / "wall.xdmf"
+            generate(path)
             return path
 
-        return read_wall(on_root(write_beside, comm), comm)
+        return read_wall(on_root(generate_in_temporary_folder, comm), comm)
 
 
-def wall_quality(wall: Wall) -> Quality:
+def wall_quality(wall: Wall) -> MeshQuality:
     """Return the quality of a wall's tetrahedra. Collective.
 
     Edges count as straight: a curved tetrahedron is measured by its corners.
@@ -163,12 +169,10 @@ def wall_quality(wall: Wall) -> Quality:
     mesh = wall.mesh
     n_owned = mesh.topology.index_map(3).size_local
     corners = compat.geometry_dofmap(mesh)[:n_owned, :4].astype(np.int64)
-    points = np.asarray(mesh.geometry.x, dtype=np.float64)
-    no_tags = np.zeros(0, dtype=np.int64)
-    local = measure_quality(WallMesh(points, corners, no_tags, no_tags, no_tags))
+    local = measure_quality(np.asarray(mesh.geometry.x, dtype=np.float64), corners)
     parts = [part for part in mesh.comm.allgather(local) if part.cells]
     cells = sum(part.cells for part in parts)
-    return Quality(
+    return MeshQuality(
         points=mesh.geometry.index_map().size_global,
         cells=cells,
         minimum=min(part.minimum for part in parts),
@@ -178,21 +182,27 @@ def wall_quality(wall: Wall) -> Quality:
     )
 
 
-def _prepare(source: str | Path, size: float | None, folder: Path) -> Path:
-    """Return the path of a wall's file; generate the file if it is missing or out of date.
+def _path_of_wall(source: str | Path, size: float | None, folder: Path) -> Path:
+    """Return the path of a wall's file, after generating it if it is missing or out of date.
 
-    The stamp beside a generated file is a digest of the generators' source and of the size.
+    Beside a generated file is another one with a digest of the size and of the generators' source:
+    if it differs, the wall is out of date.
+
+    Args:
+        source: Name of a generator, or the path of a file, which is returned.
+        size: Length of the elements' edges [mm]; None for the generator's default.
+        folder: Folder of generated walls.
     """
-    if source not in CREATE:
+    if source not in GENERATORS:
         return Path(source)
     path = folder / (f"{source}.xdmf" if size is None else f"{source}_{size:g}.xdmf")
-    sources = b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py")))
-    stamp = path.with_suffix(".sha256")
-    digest = hashlib.sha256(sources + repr(size).encode()).hexdigest()
-    is_complete = all(file.is_file() for file in (path, path.with_suffix(".h5"), stamp))
-    if is_complete and stamp.read_text() == digest:
+    code = b"".join(file.read_bytes() for file in sorted(Path(__file__).parent.glob("*.py")))
+    digest = hashlib.sha256(code + repr(size).encode()).hexdigest()
+    digest_file = path.with_suffix(".sha256")
+    is_complete = all(file.is_file() for file in (path, path.with_suffix(".h5"), digest_file))
+    if is_complete and digest_file.read_text() == digest:
         return path
     options = {} if size is None else {"size": size}
-    CREATE[str(source)](path, **options)
-    stamp.write_text(digest)
+    GENERATORS[str(source)](path, **options)
+    digest_file.write_text(digest)
     return path

@@ -16,7 +16,7 @@ from mpi4py import MPI
 import numpy as np
 from wall_files import EXAMPLE, ROOT
 
-from dolfinx_feti.meshes.wall_mesh import write_msh
+from dolfinx_feti.meshes.files import write_msh
 from dolfinx_feti.wall import read_wall, write_wall
 from dolfinx_feti.wall.wall_arrays import WallArrays
 from dolfinx_feti.wall.wallfile import read_wall_arrays

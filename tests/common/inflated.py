@@ -17,7 +17,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, materials
-from dolfinx_feti.meshes.curved import curved
+from dolfinx_feti.meshes.curved import create_curved_mesh
 from dolfinx_feti.meshes.octant import create_octant
 from dolfinx_feti.scalars import Cavity
 
@@ -120,7 +120,7 @@ def tube(cells: tuple[int, int] = (3, 6), *, stiffness: float = 1.0) -> Body:
 
     planes = [(0, 0.0), (1, 0.0), (2, 0.0), (2, 0.2)]
     lumen = [lambda x: np.isclose(np.hypot(x[0], x[1]), 1.0)]
-    mesh = curved(box, round_the_axis)
+    mesh = create_curved_mesh(box, round_the_axis)
     return body(mesh, planes, lumen, stiffness=stiffness, pressure=("DPC", 1))
 
 

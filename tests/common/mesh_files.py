@@ -45,7 +45,7 @@ def pipe(
     n: int = 24, m: int = 12, radius: float = 3.0, length: float = 10.0
 ) -> tuple[Array, Indices]:
     """A straight lumen with open ends, triangles facing outwards."""
-    axis, t, _ = tube._lumen(n, m, quarter=False)
+    axis, t, _ = tube.unit_tube(n, m, quarter=False)
     return axis * [radius, radius, length], t
 
 

@@ -21,7 +21,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti.fem.quadrature import limit_quadrature_degree
-from dolfinx_feti.meshes.curved import curved
+from dolfinx_feti.meshes.curved import create_curved_mesh
 
 Cell = dolfinx.mesh.CellType
 CELLS = ("interval", "triangle", "quadrilateral", "tetrahedron", "hexahedron", "prism")
@@ -56,7 +56,9 @@ def body(cell: str, is_curved: bool) -> tuple[dolfinx.mesh.Mesh, object, object,
 
 def bent(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.Mesh:
     """The same cells, with quadratic geometry."""
-    return curved(mesh, lambda x: x + 0.1 * np.outer(x[:, -1] ** 2, np.eye(x.shape[1])[0]))
+    return create_curved_mesh(
+        mesh, lambda x: x + 0.1 * np.outer(x[:, -1] ** 2, np.eye(x.shape[1])[0])
+    )
 
 
 class Grammar:

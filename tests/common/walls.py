@@ -25,7 +25,7 @@ import ufl
 
 import dolfinx_feti
 from dolfinx_feti import kinematics, loads, materials
-from dolfinx_feti.meshes.bricks import lattice_cells
+from dolfinx_feti.meshes.lattice import lattice_cells
 
 Array = npt.NDArray[np.float64]
 Marker = npt.NDArray[np.bool_]
@@ -110,7 +110,7 @@ def tube(
     number = np.arange(len(x)).reshape(len(radii), columns, along + 1)
     if not quarter:
         number = np.concatenate([number, number[:, :1]], axis=1)
-    cells = lattice_cells(number, 1, simplex=True)  # six beside each other for each brick
+    cells = lattice_cells(number, 1, simplices=True)  # six beside each other for each brick
     return create_mesh(comm, x, cells.reshape(-1, 6, 4).swapaxes(0, 1).reshape(-1, 4))
 
 

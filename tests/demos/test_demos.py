@@ -23,7 +23,7 @@ import pytest
 from collective import COMM, agree, raises, small
 from wall_files import DEMOS, EXAMPLE, ROOT, on_first
 
-from dolfinx_feti.meshes.wall_mesh import TAGS, write_mesh, write_msh
+from dolfinx_feti.meshes.files import write_msh, write_wall_arrays
 from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.wall.wallfile import read_wall_arrays
 
@@ -257,12 +257,12 @@ def test_case_in_a_file(run, tmp_path):
 
 def test_prestretch_of_one_layer(run, tmp_path):
     """A wall without fibres, which all read, is pulled, and inflated beyond the file's pressure."""
-    names = {"wall": 1} | {k: v for k, v in TAGS.items() if v > 2}
 
     def write() -> None:
-        raw = read_wall_arrays(EXAMPLE)
-        one = replace(raw, layers=np.ones_like(raw.layers))
-        write_mesh(tmp_path / "own.xdmf", one, names)
+        arrays = read_wall_arrays(EXAMPLE)
+        one_layer = np.ones_like(arrays.layers)
+        one = replace(arrays, layers=one_layer, layer_names={"wall": 1})
+        write_wall_arrays(tmp_path / "own.xdmf", one)
         text = 'mesh = "own.xdmf"\n[layers.wall]\nc = 20\n[surfaces.lumen]\npressure = 1\n'
         text += '[surfaces.opening_1]\nhold = "clamp"\n[surfaces.opening_2]\nhold = "clamp"\n'
         text += '[prestretch]\naxis = "z"\nstretch = 1.1\n'
@@ -343,8 +343,13 @@ def test_output_folder_is_tried_before_the_mesh(run, tmp_path, capsys):
 def test_mesh_with_a_missing_tag(run, tmp_path, capsys):
     """The message lists the names found."""
     path = tmp_path / "wall.msh"
-    tags = {k: v for k, v in TAGS.items() if k != "lumen"}
-    on_first(lambda: write_msh(path, read_wall_arrays(EXAMPLE), tags))
+
+    def write() -> None:
+        arrays = read_wall_arrays(EXAMPLE)
+        names = {name: tag for name, tag in arrays.surface_names.items() if name != "lumen"}
+        write_msh(path, replace(arrays, surface_names=names))
+
+    on_first(write)
     match = "surfaces.lumen.: the wall has no surface 'lumen'; it has outer, opening_1, opening_2"
     refused(run, capsys, match, "--mesh", path, "--output", tmp_path / "run")
 

@@ -19,7 +19,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem
-from dolfinx_feti.meshes.curved import curved
+from dolfinx_feti.meshes.curved import create_curved_mesh
 
 
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
@@ -85,7 +85,7 @@ def test_curved_cells():
         radius = 1 + x[:, 0]
         return np.column_stack([radius * np.cos(x[:, 1]), radius * np.sin(x[:, 1])])
 
-    mesh = curved(square, bent)
+    mesh = create_curved_mesh(square, bent)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
     u = dolfinx.fem.Function(V)
     energy = Strip.density(u) * ufl.dx

@@ -14,8 +14,8 @@ from collective import agree, raises
 from mesh_files import watertight
 from wall_files import ROOT
 
-from dolfinx_feti.meshes import tube, vessel, wall_mesh
-from dolfinx_feti.meshes.wall_mesh import TAGS
+from dolfinx_feti.meshes import files, tube, vessel
+from dolfinx_feti.meshes.tags import SURFACE_TAGS
 from dolfinx_feti.wall.wallfile import read_wall_arrays
 
 pytestmark = pytest.mark.serial
@@ -31,7 +31,7 @@ def test_tube(tmp_path, quarter):
     agree(quality.cells == 3 * 2 * 3 * n * 7 and quality.minimum > 0.3, quality)
     watertight(wall)
     for axis, name in enumerate(("symmetry_x", "symmetry_y")):
-        corners = wall.facets[wall.surfaces == TAGS[name]]
+        corners = wall.facets[wall.surfaces == SURFACE_TAGS[name]]
         agree((len(corners) > 0) == quarter and np.all(wall.points[corners][..., axis] == 0))
 
 
@@ -47,7 +47,7 @@ def test_files_are_whole_or_not_there(tmp_path, monkeypatch):
     def full(*args, **kwargs):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(wall_mesh.np, "savetxt", full)
+    monkeypatch.setattr(files.np, "savetxt", full)
     with raises(OSError, "no space"):
         tube.create_tube(path, size=0.4)
     agree(path.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == ["t.msh"])

@@ -14,8 +14,8 @@ from collective import agree, equal, raises, small
 from mesh_files import areas, pipe, volumes, watertight, write_stl
 
 from dolfinx_feti.meshes import vessel
-from dolfinx_feti.meshes.surface import Guide, read_stl
-from dolfinx_feti.meshes.wall_mesh import TAGS
+from dolfinx_feti.meshes.surface import SurfaceProjection, read_stl
+from dolfinx_feti.meshes.tags import SURFACE_TAGS
 from dolfinx_feti.wall.wallfile import read_wall_arrays
 
 pytestmark = pytest.mark.serial
@@ -63,9 +63,11 @@ def test_vessel_has_layers_and_openings(artery):
 def test_vessel_does_not_overlap_itself(artery):
     """No point of the outer wall is much nearer to the lumen than the thickness."""
     wall = artery.wall
-    t = wall.facets[wall.surfaces == TAGS["lumen"]]
-    outer = wall.points[np.unique(wall.facets[wall.surfaces == TAGS["outer"]])]
-    distance = np.linalg.norm(outer - Guide(wall.points, t).project(outer, candidates=60), axis=1)
+    t = wall.facets[wall.surfaces == SURFACE_TAGS["lumen"]]
+    outer = wall.points[np.unique(wall.facets[wall.surfaces == SURFACE_TAGS["outer"]])]
+    distance = np.linalg.norm(
+        outer - SurfaceProjection(wall.points, t).project(outer, candidates=60), axis=1
+    )
     agree(distance.min() > 0.85 * THICKNESS, distance.min())
     agree(distance.max() < 1.25 * THICKNESS, distance.max())
 
@@ -74,9 +76,9 @@ def test_vessel_lies_on_the_surface(artery):
     """The lumen's points lie on the given surface, and its area is the given one."""
     wall = artery.wall
     x, t = read_stl(vessel.find_surface())
-    lumen = wall.facets[wall.surfaces == TAGS["lumen"]]
+    lumen = wall.facets[wall.surfaces == SURFACE_TAGS["lumen"]]
     points = wall.points[np.unique(lumen)]
-    small(np.linalg.norm(points - Guide(x, t).project(points), axis=1).max(), 1e-9)
+    small(np.linalg.norm(points - SurfaceProjection(x, t).project(points), axis=1).max(), 1e-9)
     a, b, c = np.moveaxis(x[t], 1, 0)
     given = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
     small(areas(wall)["lumen"] / given - 1, 0.01)
@@ -157,7 +159,7 @@ def test_one_layer_from_a_surface_in_metres(tmp_path, monkeypatch, capsys):
 def test_wall_too_thick_for_its_crotches_is_refused(coarse, tmp_path):
     """On the lumen of the coarse vessel, whose triangles are few."""
     wall = read_wall_arrays(coarse)
-    t = wall.facets[wall.surfaces == TAGS["lumen"]]
+    t = wall.facets[wall.surfaces == SURFACE_TAGS["lumen"]]
     stl = write_stl(tmp_path / "lumen.stl", wall.points, t, binary=True)
     with raises(ValueError, "quality of .* less than 0.1"):
         vessel.create_vessel(tmp_path / "v.msh", surface=stl, size=6.0, thickness=4.0)

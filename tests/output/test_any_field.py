@@ -18,7 +18,7 @@ import basix.ufl
 import dolfinx
 import ufl
 
-from dolfinx_feti.meshes.curved import curved
+from dolfinx_feti.meshes.curved import create_curved_mesh
 from dolfinx_feti.output import FieldWriter, cell_values, create_patches, recovered_field
 from dolfinx_feti.runtime.compat import interpolation_points
 
@@ -181,7 +181,7 @@ ELEMENTS = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_element_on_straight_and_curved_cells(tmp_path, kind, order):
     """Constant fields are written as such, by one writer."""
-    mesh = cube(3, 1) if order == 1 else curved(cube(3, 1), lambda x: x)
+    mesh = cube(3, 1) if order == 1 else create_curved_mesh(cube(3, 1), lambda x: x)
     functions = []
     for name, element in (ELEMENTS | {"bubble": with_bubbles(mesh)}).items():
         f = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element), name=name)

@@ -20,9 +20,9 @@ from wall_files import ROOT, centroids, on_first, tube
 import dolfinx
 import ufl
 
+from dolfinx_feti.meshes.files import write_msh
 from dolfinx_feti.meshes.tube import create_tube
 from dolfinx_feti.meshes.vessel import create_vessel
-from dolfinx_feti.meshes.wall_mesh import write_msh
 from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.wall import (
     Clamp,

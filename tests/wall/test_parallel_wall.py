@@ -146,7 +146,7 @@ def test_generated_wall_is_kept_as_long_as_its_generator(tmp_path, monkeypatch):
         for suffix in (".xdmf", ".h5"):
             path.with_suffix(suffix).write_text("a wall")
 
-    monkeypatch.setitem(walls.CREATE, "tube", create)
+    monkeypatch.setitem(walls.GENERATORS, "tube", create)
 
     def prepare(size):
         on_first(lambda: walls._prepare("tube", size, folder))

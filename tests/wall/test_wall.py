@@ -20,13 +20,15 @@ from wall_files import ROOT, centroids, on_first
 import dolfinx
 import ufl
 
-from dolfinx_feti.meshes.wall_mesh import TAGS, write_msh
+from dolfinx_feti.meshes.files import write_msh
+from dolfinx_feti.meshes.tags import LAYER_TAGS, SURFACE_TAGS
 from dolfinx_feti.wall import area, by_layer, facets, openings, read_case, read_wall
 from dolfinx_feti.wall.fibres import fibre_frame
 from dolfinx_feti.wall.wall import plane
 from dolfinx_feti.wall.wallfile import read_wall_arrays
 
-GROUPS = {name: (3 if tag < 3 else 2, tag) for name, tag in TAGS.items()}
+GROUPS = {name: (3, tag) for name, tag in LAYER_TAGS.items()}
+GROUPS |= {name: (2, tag) for name, tag in SURFACE_TAGS.items()}
 AROUND = 14
 LENGTH = 1.0
 RADII = np.array([0.71, 0.97, 1.10])
@@ -44,9 +46,11 @@ def raw():
     return on_first(lambda: read_wall_arrays(EXAMPLE))
 
 
-def read_changed(tmp_path, mesh, names=TAGS):
-    """Write a wall and read it back."""
-    on_first(lambda: write_msh(tmp_path / "wall.msh", mesh, names))
+def read_changed(tmp_path, arrays, names=None):
+    """Write a wall, with other names of layers and surfaces if they are given, and read it back."""
+    if names is not None:
+        arrays = replace(arrays, layer_names=names, surface_names=names)
+    on_first(lambda: write_msh(tmp_path / "wall.msh", arrays))
     return read_wall(tmp_path / "wall.msh", COMM)
 
 
@@ -84,7 +88,7 @@ def test_every_exterior_facet_has_its_surface(wall):
 
 def test_names(wall):
     agree(wall.layers == {"media": 1, "adventitia": 2} and len(wall.names) == 6)
-    agree(wall.names == {k: TAGS[k] for k in wall.names})
+    agree(wall.names == {name: GROUPS[name][1] for name in wall.names})
     with raises(ValueError, "no surface 'lume'; it has lumen, outer"):
         facets(wall, "lume")
 
@@ -158,7 +162,7 @@ def test_names_with_other_numbers(tmp_path, raw):
 def test_any_number_of_layers(tmp_path, raw, names):
     """By any names; surfaces, too, and none of them has to be there."""
     layers = np.array(list(names.values()))[np.arange(len(raw.cells)) % len(names)]
-    inside = {"inside": TAGS["lumen"]}
+    inside = {"inside": SURFACE_TAGS["lumen"]}
     other = read_changed(tmp_path, replace(raw, layers=layers), names | inside | {"unused": 99})
     agree((other.layers, other.surfaces) == (names, inside), other.names)
     count = [len(whole(other.cell_tags.find(tag))) for tag in names.values()]

@@ -1,0 +1,39 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Names and tags of the layers and surfaces of generated walls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from dolfinx_feti.runtime.arrays import Numbers
+
+__all__ = ["LAYER_TAGS", "SURFACE_TAGS", "layer_tags", "names_of"]
+
+#: Tags of the layers of an artery.
+LAYER_TAGS = {"media": 1, "adventitia": 2}
+
+#: Tags of surfaces; opening k has 10 + k.
+SURFACE_TAGS = {"lumen": 3, "outer": 4, "symmetry_x": 5, "symmetry_y": 6}
+SURFACE_TAGS |= {f"opening_{k}": 10 + k for k in range(1, 90)}
+
+#: Tag of the innermost layer if it has another name; those of the next layers follow.
+FIRST_OTHER_LAYER = 101
+
+
+def layer_tags(names: Iterable[str]) -> dict[str, int]:
+    """Return the tags of layers, listed from the inside out, by name."""
+    return {name: LAYER_TAGS.get(name, FIRST_OTHER_LAYER + i) for i, name in enumerate(names)}
+
+
+def names_of(tags: Numbers, names: Mapping[str, int]) -> dict[str, int]:
+    """Return the names whose tags occur, with these tags.
+
+    Args:
+        tags: Tags of all cells or facets, (n,).
+        names: Tags by name.
+    """
+    return {name: tag for name, tag in names.items() if np.any(tags == tag)}
