@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import dolfinx
 import ufl
@@ -26,6 +27,10 @@ from ufl.core.expr import Expr
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.compat import interpolation_points
+
+#: Internal variables that an update changes: all, those that affect the forces, or those that are
+#: only recorded.
+Updated: TypeAlias = Literal["all", "in_forces", "recorded"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,18 +47,18 @@ class InternalVariables:
     updates: tuple[dolfinx.fem.Expression, ...]
     affects_forces: tuple[bool, ...]
 
-    def update(self, *, balanced: bool | None = None) -> None:
+    def update(self, which: Updated = "all") -> None:
         """Set ξ to Ξ at the present state. Collective.
 
         Args:
-            balanced: Whether the balance of forces depends on the variables to update: True for
-                those that affect the forces, whose update disturbs the equilibrium; False for the
-                others; None for all.
+            which: ``"in_forces"`` for the variables that affect the forces, whose update disturbs
+                the equilibrium, ``"recorded"`` for the others, or ``"all"``.
         """
         new_values = {}
         parts = zip(self.functions, self.updates, self.affects_forces, strict=True)
         for ξ, update, affects_forces in parts:
-            if balanced is None or balanced == affects_forces:
+            kind = "in_forces" if affects_forces else "recorded"
+            if which in ("all", kind):
                 new_values[ξ] = dolfinx.fem.Function(ξ.function_space)
                 new_values[ξ].interpolate(update)
         for ξ, new in new_values.items():

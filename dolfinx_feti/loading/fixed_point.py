@@ -16,6 +16,7 @@ from petsc4py import PETSc
 import dolfinx
 
 from dolfinx_feti.fem.content import Content
+from dolfinx_feti.fem.internal_variables import Updated
 from dolfinx_feti.problems.equations.tangent import TangentId
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
@@ -92,7 +93,7 @@ class FixedPoint(ABC):
         """Discard the preconditioner of the inner problem."""
         self._problem.renew()
 
-    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
+    def update_internal_variables(self, which: Updated = "all") -> None:
         """Do nothing: internal variables stay as they are."""
         return
 

@@ -12,6 +12,7 @@ from petsc4py import PETSc
 import dolfinx
 
 from dolfinx_feti.fem.content import Content
+from dolfinx_feti.fem.internal_variables import Updated
 from dolfinx_feti.problems.equations.tangent import TangentId
 from dolfinx_feti.problems.history import NewtonStep
 
@@ -74,7 +75,7 @@ class Problem(Protocol):
     def begin_step(self, length: float) -> None:
         """Prepare scalars and contacts for a step of this length, in the unit of the path."""
 
-    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
+    def update_internal_variables(self, which: Updated = "all") -> None:
         """Update the internal variables from the present state. Collective."""
 
     def warn_of_cells(self) -> None:

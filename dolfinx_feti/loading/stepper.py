@@ -229,13 +229,13 @@ class Stepper(ABC, Generic[Step]):
             seconds=time.perf_counter() - start_time,
         )
         completed = self._complete(step)
-        self._problem.update_internal_variables(balanced=False)
+        self._problem.update_internal_variables("recorded")
         self.length.adapt(completed, n_updates=self._problem.n_updates)
         return completed
 
     def _accept(self, to: float, target: float) -> None:
         """Advance the histories, and accept the state. Collective."""
-        self._problem.update_internal_variables(balanced=True)
+        self._problem.update_internal_variables("in_forces")
         self._advance()
         self.state.accept(to)
         self._is_loose = self._has_loose_tolerance(to, target)

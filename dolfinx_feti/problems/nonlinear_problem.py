@@ -26,7 +26,7 @@ from dolfinx_feti.diagnosis.cell_volumes import CellVolumes
 from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.content import content_of
-from dolfinx_feti.fem.internal_variables import create_internal_variables
+from dolfinx_feti.fem.internal_variables import Updated, create_internal_variables
 from dolfinx_feti.fem.pressures import check_pressures
 from dolfinx_feti.mechanics.deformation import volume_ratio_of_expression
 from dolfinx_feti.problems.arguments import (
@@ -565,19 +565,19 @@ class NonlinearProblem(TornProblem):
         of_scalars_and_contacts = (*self._system.scalars.histories, *self._contacts.penalties)
         return (*self._internal_variables.functions, *of_scalars_and_contacts)
 
-    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
+    def update_internal_variables(self, which: Updated = "all") -> None:
         """Update all internal variables at once from the present state. Collective.
 
         Call it when a state is accepted, as ``follow_load`` and ``follow_time`` do: a solve changes
         none of them.
 
         Args:
-            balanced: Which ones to update. None: all. True: those that the balance of forces
-                depends on, which paths update after ``on_step``. False: the others, which paths
-                update before it.
+            which: ``"in_forces"`` for the variables that affect the forces, which paths update
+                after ``on_step``; ``"recorded"`` for the others, which paths update before it; or
+                ``"all"``.
         """
-        self._internal_variables.update(balanced=balanced)
-        if balanced is not False:
+        self._internal_variables.update(which)
+        if which != "recorded":
             self._system.scalars.accept()
 
     def begin_step(self, length: float) -> None:

@@ -114,8 +114,8 @@ class Condensation:
 
     Attributes:
         fields: The fields.
-        constraints: Number of dofs of this process of all fields whose equations contain u. A
-            pressure is one; a dilation is not.
+        n_constraints: Number of constraints on u on this process: the dofs of all fields whose
+            equations contain u. A pressure is such a field; a dilation is not.
     """
 
     def __init__(
@@ -166,7 +166,7 @@ class Condensation:
         self._forms = CellwiseForms([*mixed.forms(), *F_p], mesh, compiler)
         self._contains_u = np.array([not block.is_zero for block in mixed.K_pu])  # (fields,)
         n_cells = len(self._numbering.entries)
-        self.constraints = n_cells * int(np.dot(self._numbering.widths, self._contains_u))
+        self.n_constraints = n_cells * int(np.dot(self._numbering.widths, self._contains_u))
 
         # multipliers
         self._compression: CellwiseForms | None = None

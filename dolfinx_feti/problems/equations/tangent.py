@@ -71,7 +71,7 @@ class TornTangent:
         self._detached_null_space: PETSc.NullSpace | None = None
         self.A = create_torn_matrix_on(space, self._K.mat, [], self.diagonal, forms.symmetric)
         if condensation is not None:
-            set_condensed_pressures(self.A, condensation.constraints)
+            set_condensed_pressures(self.A, condensation.n_constraints)
         self._near_kernel: PETSc.NullSpace | None = None  # that this object has attached to A
         self.id = TangentId()
         self.shift = 0.0
