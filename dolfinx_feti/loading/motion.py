@@ -161,7 +161,7 @@ class Motion:
             ValueError: ``rho`` is not between 0 and 1, or ``density`` not positive.
         """
         spectral_radius = rho  # the letter ρ alone is the density
-        require_within(0.0, 1.0, {"rho": rho}, remedy="a spectral radius between 0 and 1", sign="=")
+        require_within(0.0, 1.0, {"rho": rho}, remedy="a spectral radius between 0 and 1")
         require_positive(density=density)
         V = u.function_space
         self.u = u

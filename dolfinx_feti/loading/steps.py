@@ -63,7 +63,7 @@ class Steps(LengthSettings):
         for name, tolerance in tolerances.items():
             if tolerance is not None:
                 require_number(**{name: tolerance})
-                require_within(0.0, 1.0, {name: tolerance}, ends=False)
+                require_within(0.0, 1.0, {name: tolerance}, includes_ends=False)
 
     def length_rule(self) -> StepLengthRule[LoadStep]:
         """Create the rule for the lengths; another rule is a subclass that overrides this."""

@@ -41,8 +41,8 @@ __all__ = [
     "pressure_potential",
 ]
 
-#: Part of a pressure's derivative, see :func:`follower_pressure_tangent`.
-Kind = Literal["auto", "symmetric", "full", "none"]
+#: Parts of the tangent of a pressure, see :func:`follower_pressure_tangent`.
+TangentKind = Literal["auto", "symmetric", "full", "none"]
 
 #: One millimetre of mercury in kPa: an atmosphere is 101.325 kPa or 760 mmHg, by definition.
 _KPA_PER_MMHG = 101.325 / 760.0
@@ -78,7 +78,7 @@ def follower_pressure_tangent(
     v: Expr,
     du: Expr,
     ds: ufl.Measure,
-    kind: Kind = "auto",
+    kind: TangentKind = "auto",
     *,
     bcs: Sequence[dolfinx.fem.DirichletBC] | None = None,
 ) -> ufl.Form:
@@ -107,7 +107,7 @@ def follower_pressure_tangent(
         ValueError: ``kind`` is none of these, or ``"auto"`` is not possible because ``bcs`` is
             missing, u is no Function, or ds has no facets.
     """
-    if kind not in get_args(Kind):
+    if kind not in get_args(TangentKind):
         raise ValueError(f"kind = {kind!r}: choose 'auto', 'symmetric', 'full' or 'none'.")
     if kind == "none" or _is_zero(p):
         return ufl.Form([])

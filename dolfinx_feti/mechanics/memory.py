@@ -98,7 +98,7 @@ def damaged(psi: Expr, m: Expr, *, d_max: Parameter, W: Parameter) -> tuple[Expr
     Returns:
         The energy, and the update of m.
     """
-    require_within(0.0, 1.0, {"d_max": d_max}, ends=False)
+    require_within(0.0, 1.0, {"d_max": d_max}, includes_ends=False)
     require_positive(W=W)
     decay_at_m = ufl.exp(-m / W)
     decay_at_psi = ufl.exp(-psi / W)

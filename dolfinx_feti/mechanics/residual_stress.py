@@ -38,7 +38,13 @@ from ufl.core.expr import Expr
 
 from dolfinx_feti.mechanics.values import require_finite, require_positive, require_within
 
-__all__ = ["check_opening", "elastic_part", "opened", "residual_stretch", "stress_free_direction"]
+__all__ = [
+    "check_opening",
+    "elastic_part",
+    "opening_deformation",
+    "residual_stretch",
+    "stress_free_direction",
+]
 
 
 def elastic_part(F: Expr, G: Expr) -> Expr:
@@ -107,11 +113,13 @@ def check_opening(angle: Expr | float, stretch: Expr | float) -> None:
     Raises:
         ValueError: The angle is not below 360, or the stretch is not positive.
     """
-    require_within(-math.inf, 360.0, {"angle": angle}, ends=False, remedy="less than 360 degrees")
+    require_within(
+        -math.inf, 360.0, {"angle": angle}, includes_ends=False, remedy="less than 360 degrees"
+    )
     require_positive(stretch=stretch)
 
 
-def opened(directions: Sequence[Expr], λ: Expr, stretch: Expr | float = 1.0) -> Expr:
+def opening_deformation(directions: Sequence[Expr], λ: Expr, stretch: Expr | float = 1.0) -> Expr:
     """Part G of the deformation, which opens the wall to its stress-free pieces, (3, 3), det G = 1.
 
     Args:

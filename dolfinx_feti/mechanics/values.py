@@ -40,9 +40,8 @@ def require_within(
     high: float,
     values: Mapping[str, object],
     *,
-    ends: bool = True,
+    includes_ends: bool = True,
     remedy: str = "",
-    sign: str = " = ",
 ) -> None:
     """Check that values are finite numbers in a range. UFL expressions are not checked.
 
@@ -52,9 +51,8 @@ def require_within(
         low: Lower end of the range.
         high: Upper end.
         values: The values by name.
-        ends: Whether low and high belong to the range.
+        includes_ends: Whether low and high belong to the range.
         remedy: What to give instead; by default a number in the range.
-        sign: Separator between name and value in the message.
 
     Raises:
         TypeError: A value is neither a number nor a UFL expression.
@@ -64,18 +62,18 @@ def require_within(
         if isinstance(value, Expr):
             continue
         if isinstance(value, bool) or not isinstance(value, Real):
-            raise TypeError(f"{name}{sign}{value!r}: expected a number or a UFL expression.")
+            raise TypeError(f"{name} = {value!r}: expected a number or a UFL expression.")
         x = float(value)
-        is_inside = low <= x <= high if ends else low < x < high
+        is_inside = low <= x <= high if includes_ends else low < x < high
         if not (math.isfinite(x) and is_inside):
-            words = ("from", "to") if ends else ("between", "and")
+            words = ("from", "to") if includes_ends else ("between", "and")
             in_range = f"a number {words[0]} {low:g} {words[1]} {high:g}"
-            raise ValueError(f"{name}{sign}{value}: give {remedy or in_range}.")
+            raise ValueError(f"{name} = {value}: give {remedy or in_range}.")
 
 
 def require_positive(**values: object) -> None:
     """Check that values are finite and positive; see :func:`require_within`."""
-    require_within(0.0, math.inf, values, ends=False, remedy="a positive number")
+    require_within(0.0, math.inf, values, includes_ends=False, remedy="a positive number")
 
 
 def require_not_negative(**values: object) -> None:

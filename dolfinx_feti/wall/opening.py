@@ -29,7 +29,11 @@ import numpy as np
 import dolfinx
 import ufl
 
-from dolfinx_feti.mechanics.residual_stress import check_opening, opened, residual_stretch
+from dolfinx_feti.mechanics.residual_stress import (
+    check_opening,
+    opening_deformation,
+    residual_stretch,
+)
 from dolfinx_feti.mechanics.values import require_type
 from dolfinx_feti.wall.fibres import cell_mean, frame_of, gradient, potentials
 from dolfinx_feti.wall.wall import Wall, by_layer
@@ -103,7 +107,7 @@ class Opening:
         depth = (self.potentials[0] - self.middle) * self._thickness
         # lengths in units of ρ₀, so that the curvature is 1 and the depth ρ/ρ₀ − 1
         λ = residual_stretch(1.0, ufl.exp(self.curvature * depth) - 1, self.angle, stretch)
-        self.G = opened(self.directions, λ, stretch)
+        self.G = opening_deformation(self.directions, λ, stretch)
         self.update()
 
     def update(self) -> None:

@@ -143,7 +143,7 @@ def test_what_is_refused_when_a_motion_begins():
     ):
         with raises(ValueError, match):
             follow_time(problem, motion, body.set_load, targets, TIMES, start=start)
-    with raises(ValueError, "rho=1.5: give a spectral radius"):
+    with raises(ValueError, "rho = 1.5: give a spectral radius"):
         Motion(body.u, 1.0, rho=1.5)
 
 

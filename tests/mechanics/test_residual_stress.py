@@ -17,7 +17,7 @@ import ufl
 from dolfinx_feti import NonlinearProblem, kinematics, materials
 from dolfinx_feti.mechanics.residual_stress import (
     elastic_part,
-    opened,
+    opening_deformation,
     residual_stretch,
     stress_free_direction,
 )
@@ -43,7 +43,7 @@ def half_ring(angle: float, stretch: float = 1.0):
     λ = residual_stretch(1 / MIDDLE, ρ - MIDDLE, angle, stretch)
     e0 = ufl.as_vector([-x[1] / ρ, x[0] / ρ, 0])
     e2 = ufl.as_vector([x[0] / ρ, x[1] / ρ, 0])
-    tensor = opened([e0, ufl.as_vector([0, 0, 1]), e2], λ, stretch)
+    tensor = opening_deformation([e0, ufl.as_vector([0, 0, 1]), e2], λ, stretch)
     G = ufl.as_matrix([[tensor[i, j] for j in range(2)] for i in range(2)])
     F = kinematics.deformation_gradient(u)
     F_e = elastic_part(F, G)

@@ -22,10 +22,10 @@ import ufl
 from dolfinx_feti import loads, materials, supports, workshop
 from dolfinx_feti.loading import Steps, TimeSteps, follow_load
 from dolfinx_feti.mechanics import memory
-from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
+from dolfinx_feti.mechanics.residual_stress import opening_deformation, residual_stretch
 from dolfinx_feti.mechanics.values import require_number, require_sequence, require_type
 from dolfinx_feti.output import FieldWriter
-from dolfinx_feti.wall import Case, Clamp, Dashpot, Filling, Pressure, Spring, Tissue
+from dolfinx_feti.wall import Case, Clamp, Dashpot, Filling, LayerMaterial, Pressure, Spring
 from dolfinx_feti.wall.opening import Opening
 
 pytestmark = pytest.mark.serial
@@ -43,7 +43,7 @@ NOT_NEGATIVE = (-1.0, NAN, INF)
 def case(**values: object) -> Case:
     """Return a case that is right but for these values."""
     conditions = {"lumen": (Pressure(),), "end": (Clamp(),), **values.pop("conditions", {})}
-    return Case("tube", {"media": Tissue(3.0)}, conditions, **{"pressure": 100.0, **values})
+    return Case("tube", {"media": LayerMaterial(3.0)}, conditions, **{"pressure": 100.0, **values})
 
 
 def vessels(**windkessel: float) -> Filling:
@@ -60,7 +60,7 @@ Row = tuple[Callable[..., object], dict[str, object], dict[str, tuple[object, ..
 
 TABLE: list[Row] = [
     (
-        Tissue,
+        LayerMaterial,
         HGO,
         {
             "c": POSITIVE,
@@ -165,7 +165,7 @@ TABLE: list[Row] = [
         {"curvature": 1.0, "depth": ufl.tr(I), "angle": 10.0},
         {"curvature": (NAN, INF), "angle": (360.0, NAN, -INF), "stretch": POSITIVE},
     ),
-    (opened, {"directions": [E, E, E], "λ": ufl.tr(I)}, {"stretch": POSITIVE}),
+    (opening_deformation, {"directions": [E, E, E], "λ": ufl.tr(I)}, {"stretch": POSITIVE}),
     (
         supports.spring_energy,
         {"u": E, "ds": ufl.ds, "stiffness": 1.0},
@@ -225,8 +225,8 @@ def test_what_has_no_effect_in_a_case():
         vessels(resistance=1.0)
     for wrong in ("3 kPa", True, None):
         with pytest.raises(TypeError, match=f"c (is|=) {wrong!r}: "):
-            Tissue(wrong)
-    assert np.isfinite(Tissue(3.0).k2)
+            LayerMaterial(wrong)
+    assert np.isfinite(LayerMaterial(3.0).k2)
 
 
 # -- types

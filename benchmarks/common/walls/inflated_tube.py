@@ -29,7 +29,7 @@ from benchmarks.common.walls.oracle import Layer, Tube
 from benchmarks.common.walls.problem import INTERFACE, create_wall_problem, tube_fibres
 from dolfinx_feti import kinematics
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
-from dolfinx_feti.mechanics.residual_stress import opened, residual_stretch
+from dolfinx_feti.mechanics.residual_stress import opening_deformation, residual_stretch
 from dolfinx_feti.meshes.bricks import create_brick_tube
 from dolfinx_feti.meshes.tube import ADVENTITIA, INNER_RADIUS, count_around
 from dolfinx_feti.meshes.walls import create_tube_wall
@@ -234,7 +234,7 @@ def residual_part(wall: Wall, layers: Sequence[Layer]) -> Expr:
         for column in zip(*values, strict=True)
     )
     λ = residual_stretch(1 / middle, r - middle, angle, stretch)
-    return opened([e_t, ufl.as_vector([0.0, 0.0, 1.0]), e_r], λ, stretch)
+    return opening_deformation([e_t, ufl.as_vector([0.0, 0.0, 1.0]), e_r], λ, stretch)
 
 
 def _at_points(expression: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> Array:
