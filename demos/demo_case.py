@@ -79,7 +79,7 @@ logging.getLogger("dolfinx_feti").setLevel(logging.INFO)  # a line for each load
 
 # ## The case
 #
-# `case.layers` has a tissue with the keys of the file for each layer. A wall without fibres is
+# `case.layers` has a material with the keys of the file for each layer. A wall without fibres is
 # neo-Hookean.
 
 # +
@@ -91,14 +91,14 @@ with exit_on_errors(parser):
             f"{args.wall}: leave out [image], [cavity], opening_angle, axial_stretch; "
             "demo_patient.py has a wall from an image"
         )
-    c = by_layer(wall, {name: tissue.c for name, tissue in case.layers.items()})
-    k1 = by_layer(wall, {name: tissue.k1 for name, tissue in case.layers.items()})
-    k2 = by_layer(wall, {name: tissue.k2 for name, tissue in case.layers.items()})
-    has_fibres = any(tissue.k1 for tissue in case.layers.values())
+    c = by_layer(wall, {name: material.c for name, material in case.layers.items()})
+    k1 = by_layer(wall, {name: material.k1 for name, material in case.layers.items()})
+    k2 = by_layer(wall, {name: material.k2 for name, material in case.layers.items()})
+    has_fibres = any(material.k1 for material in case.layers.values())
     frame = None
     fibres = []
     if has_fibres:
-        angles = {name: tissue.angle for name, tissue in case.layers.items()}
+        angles = {name: material.angle for name, material in case.layers.items()}
         frame = fibre_frame(wall, **case.fibres)
         fibres = [*fibre_families(wall, frame, angles)]
 mesh = wall.mesh

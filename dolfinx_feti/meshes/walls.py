@@ -24,7 +24,7 @@ from dolfinx_feti.meshes.tube import create_tube
 from dolfinx_feti.meshes.vessel import create_vessel
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.collective import on_root
-from dolfinx_feti.wall.casefile import Case, Tissue, read_case
+from dolfinx_feti.wall.casefile import Case, LayerMaterial, read_case
 from dolfinx_feti.wall.conditions.condition import Condition
 from dolfinx_feti.wall.conditions.prescribed import Clamp
 from dolfinx_feti.wall.conditions.pressure import Pressure
@@ -121,7 +121,7 @@ def artery_case(wall: Wall, mesh: str) -> Case:
         conditions[name] = (Clamp(),)
     return Case(
         mesh=mesh,
-        layers={name: Tissue(3.0, 2.3632, 0.8393, angle) for name, angle in angles.items()},
+        layers={name: LayerMaterial(3.0, 2.3632, 0.8393, angle) for name, angle in angles.items()},
         conditions=conditions,
         pressure=10.0,
     )

@@ -12,12 +12,12 @@ In the order of the data: names, wall, checks, xdmf, wall_arrays, wallfile, case
 casefile, fibres, opening.
 """
 
-from dolfinx_feti.wall.casefile import Case, Filling, Tissue, read_case
+from dolfinx_feti.wall.casefile import Case, Filling, LayerMaterial, read_case
 from dolfinx_feti.wall.conditions.boundary import Boundary, apply_conditions
 from dolfinx_feti.wall.conditions.condition import Condition, Contribution
 from dolfinx_feti.wall.conditions.prescribed import Clamp, Slide
 from dolfinx_feti.wall.conditions.pressure import Pressure
-from dolfinx_feti.wall.conditions.tissue import Dashpot, Spring
+from dolfinx_feti.wall.conditions.supports import Dashpot, Spring
 from dolfinx_feti.wall.fibres import Frame, fibre_families, fibre_frame
 from dolfinx_feti.wall.opening import Opening
 from dolfinx_feti.wall.wall import (
@@ -41,11 +41,11 @@ __all__ = [
     "Dashpot",
     "Filling",
     "Frame",
+    "LayerMaterial",
     "Opening",
     "Pressure",
     "Slide",
     "Spring",
-    "Tissue",
     "Wall",
     "apply_conditions",
     "area",

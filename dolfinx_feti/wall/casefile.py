@@ -37,15 +37,15 @@ from dolfinx_feti.wall.casekeys import (
 from dolfinx_feti.wall.conditions.condition import Condition
 from dolfinx_feti.wall.conditions.pressure import Pressure
 from dolfinx_feti.wall.conditions.registry import by_surface, case_keys, conditions_in_case
-from dolfinx_feti.wall.conditions.tissue import Dashpot
+from dolfinx_feti.wall.conditions.supports import Dashpot
 from dolfinx_feti.wall.wall import AXES, Wall
 
-__all__ = ["Case", "Filling", "Tissue", "read_case"]
+__all__ = ["Case", "Filling", "LayerMaterial", "read_case"]
 
 
 @dataclass(frozen=True, slots=True)
-class Tissue:
-    """The material of a layer (``conditions.tissue`` is about the tissue around the wall)."""
+class LayerMaterial:
+    """Material of a layer, and its residual stress."""
 
     c: float  #: Stiffness of the matrix material [kPa]
     k1: float = 0.0  #: Stiffness of the fibres [kPa]; 0 for none
@@ -59,7 +59,7 @@ class Tissue:
         require_positive(c=self.c, k2=self.k2, axial_stretch=self.axial_stretch)
         require_not_negative(k1=self.k1)
         require_within(0.0, 90.0, {"angle": self.angle})
-        require_within(-360.0, 360.0, {"opening_angle": self.opening_angle}, ends=False)
+        require_within(-360.0, 360.0, {"opening_angle": self.opening_angle}, includes_ends=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ class Case:
     """A wall under pressure, or with cavities that are filled."""
 
     mesh: str  #: Name of the mesh, as in the file
-    layers: dict[str, Tissue]  #: Materials of the layers
+    layers: dict[str, LayerMaterial]  #: Materials of the layers
     #: Conditions by surface; the largest share of a pressure is 1
     conditions: dict[str, tuple[Condition, ...]]
     pressure: float  #: Target [mmHg]; 0 if all pressures are those of cavities
@@ -364,7 +364,7 @@ def _create_case(values: dict[str, Any]) -> Case:
     )
 
 
-def _create_layers(tables: dict[str, dict[str, float]]) -> dict[str, Tissue]:
+def _create_layers(tables: dict[str, dict[str, float]]) -> dict[str, LayerMaterial]:
     """Return the materials of the tables ``[layers.…]``."""
     if not tables:
         raise ValueError("name the layers of the wall and their materials, as [layers.media]")
@@ -373,7 +373,7 @@ def _create_layers(tables: dict[str, dict[str, float]]) -> dict[str, Tissue]:
         _require_keys(table, f"layers.{name}", ["c"], "give a positive number in kPa")
         if any(key in table for key in FIBRES):
             _require_keys(table, f"layers.{name}", FIBRES, "fibres need k1, k2 and angle")
-        layers[name] = Tissue(**table)
+        layers[name] = LayerMaterial(**table)
     return layers
 
 

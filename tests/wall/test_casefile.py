@@ -20,10 +20,10 @@ from dolfinx_feti.wall import (
     Clamp,
     Dashpot,
     Filling,
+    LayerMaterial,
     Pressure,
     Slide,
     Spring,
-    Tissue,
     read_case,
     read_wall,
 )
@@ -49,8 +49,8 @@ def read(tmp_path):
 def test_the_example():
     case = read_case(DEMOS / "wall.toml", COMM)
     agree(case.mesh == "tube" and case.scale == 1.0 and case.stretch == 1.0 and case.axis is None)
-    agree(case.layers["media"] == Tissue(3.0, 2.3632, 0.8393, 29.0), case.layers)
-    agree(case.layers["adventitia"] == Tissue(0.3, 0.562, 0.7112, 62.0), case.layers)
+    agree(case.layers["media"] == LayerMaterial(3.0, 2.3632, 0.8393, 29.0), case.layers)
+    agree(case.layers["adventitia"] == LayerMaterial(0.3, 0.562, 0.7112, 62.0), case.layers)
     agree(case.pressure == 10.0 and case.rate == 100.0)
     expected = {
         "lumen": (Pressure(),),
@@ -67,7 +67,7 @@ def test_the_documents_examples(read):
     first, second, _ = re.findall(r"^```toml\n(.*?)^```", page, re.M | re.S)
     agree(first in (DEMOS / "wall.toml").read_text(encoding="utf-8"))
     case = read(second)
-    agree(case.layers["wall"] == Tissue(40.0))
+    agree(case.layers["wall"] == LayerMaterial(40.0))
 
 
 def test_units(read):
@@ -85,7 +85,7 @@ def test_units(read):
     share, spring, dashpot = case.conditions["outer"]
     equal([share.share, spring.stiffness, dashpot.viscosity], [0.5, 0.4, 5.0], 1e-12)
     agree(math.isclose(case.conditions["opening_1"][0].stiffness, 7e-6))
-    agree(case.layers["media"] == Tissue(case.layers["media"].c))
+    agree(case.layers["media"] == LayerMaterial(case.layers["media"].c))
     agree((case.axis, case.stretch) == ("x", 1.2))
     agree(case.fibres == {"inner": "in", "ends": ["a", "b"]}, case.fibres)
 

@@ -93,7 +93,7 @@ def test_stretch_moves_ends(quarter):
         top = np.isclose(z, LENGTH)
         equal(u.x.array.reshape(-1, 3), np.outer(top, [0.0, 0.0, 0.2 * LENGTH]), 1e-12)
         boundary.set_stretch(1.0)
-        agree(not boundary.moved.x.array.any())
+        agree(not boundary.clamped_displacement.x.array.any())
 
 
 # -- forms
@@ -184,7 +184,7 @@ class Tether(Condition):
     has_potential: bool
 
     def contribution(self, surface):
-        u = surface.unknowns.u
+        u = surface.state.u
         k = surface.constant(self.stiffness)
         if self.has_potential:
             return Contribution(energy=k / 2 * u[2] ** 2 * surface.ds)

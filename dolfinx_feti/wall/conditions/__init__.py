@@ -12,7 +12,8 @@ its objects as they are. A line in ``registry`` also makes it a key of a case in
 has rules for ``Pressure`` and ``Dashpot`` only. Public kinds are exported here and by ``wall``.
 Units: mm, kPa, s.
 
-In the order of the data: condition, pressure, tissue, prescribed, registry, potential, boundary.
+In the order of the data: condition, pressure, supports, prescribed, registry, potential,
+boundary.
 """
 
 from dolfinx_feti.wall.conditions.boundary import Boundary, apply_conditions
@@ -20,7 +21,7 @@ from dolfinx_feti.wall.conditions.condition import Condition, Contribution, Surf
 from dolfinx_feti.wall.conditions.prescribed import Clamp, Slide
 from dolfinx_feti.wall.conditions.pressure import Pressure
 from dolfinx_feti.wall.conditions.registry import Conditions, by_surface
-from dolfinx_feti.wall.conditions.tissue import Dashpot, Spring
+from dolfinx_feti.wall.conditions.supports import Dashpot, Spring
 
 __all__ = [
     "Boundary",

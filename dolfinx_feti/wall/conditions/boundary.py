@@ -17,7 +17,7 @@ import numpy as np
 import dolfinx
 import ufl
 
-from dolfinx_feti.mechanics.loads import Kind, follower_pressure, follower_pressure_tangent
+from dolfinx_feti.mechanics.loads import TangentKind, follower_pressure, follower_pressure_tangent
 from dolfinx_feti.mechanics.values import require_positive, require_type
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.wall.conditions.condition import (
@@ -25,7 +25,7 @@ from dolfinx_feti.wall.conditions.condition import (
     Contribution,
     SlidingPlane,
     Surface,
-    WallUnknowns,
+    WallState,
     create_constant,
 )
 from dolfinx_feti.wall.conditions.potential import PressureLoad, find_potential
@@ -114,11 +114,6 @@ class Boundary:
         self.last.x.array[:] = u.x.array
 
     @property
-    def moved(self) -> dolfinx.fem.Function:
-        """Former name of ``clamped_displacement``."""
-        return self.clamped_displacement
-
-    @property
     def planes(self) -> tuple[tuple[dolfinx.fem.Constant, float], ...]:
         """Displacement [mm] and coordinate [mm] of each plane that the prestretch moves."""
         if self.prestretch is None:
@@ -160,71 +155,67 @@ def apply_conditions(
             'functionspace(wall.mesh, ("Lagrange", 2, (3,))).'
         )
     V = u.function_space
-    v = ufl.TestFunction(V)
-    du = ufl.TrialFunction(V)
-    unknowns = WallUnknowns(
+    state = WallState(
         u=u,
         last=dolfinx.fem.Function(V, name="last_displacement"),
         clamped=dolfinx.fem.Function(V),
         pressure=create_constant(wall.mesh, 0.0),
         time_step=create_constant(wall.mesh, np.inf),
     )
-
-    contributions, loads = _apply(by_surface(conditions), wall, unknowns)
+    contributions, loads = _apply(by_surface(conditions), wall, state)
     bcs = [bc for contribution in contributions for bc in contribution.bcs]
-    prestretch = None if axis is None else _create_prestretch(axis, contributions, unknowns)
+    prestretch = None if axis is None else _create_prestretch(axis, contributions, state)
     potential = find_potential(
-        unknowns.pressure,
+        state.pressure,
         u,
         loads,
         bcs,
-        prescribed=_trial_prescribed(V, prestretch),
+        prescribed=_trial_prestretch(V, prestretch),
         plane_axes=[c.plane.axis for c in contributions if c.plane is not None],
     )
-
-    # all conditions except pressures
-    energy = ufl.Form([])
-    residual = ufl.Form([])
-    tangent = ufl.Form([])
-    for contribution in contributions:
-        energy += contribution.energy
-        residual += contribution.residual
-    total_energy: ufl.Form | None = None
-    if residual.empty() and potential is not None:
-        total_energy = energy + potential
-    if not energy.empty():
-        residual += ufl.derivative(energy, u, v)
-    if not residual.empty():
-        tangent += ufl.derivative(residual, u, du)
-
-    # pressures
-    kind: Kind = "auto" if potential is None else "symmetric"
-    for load in loads:
-        p = load.share * unknowns.pressure
-        residual += follower_pressure(p, u, v, load.ds)
-        tangent += follower_pressure_tangent(p, u, v, du, load.ds, kind, bcs=bcs)
+    others = _add(contributions, u)
+    tangent_kind: TangentKind = "auto" if potential is None else "symmetric"
+    pressures = _pressure_forms(loads, state, bcs, tangent_kind)
+    energy = None
+    if others.energy is not None and potential is not None:
+        energy = others.energy + potential
     return Boundary(
         bcs=bcs,
-        residual=residual,
-        tangent=tangent,
-        energy=total_energy,
-        pressure=unknowns.pressure,
-        time_step=unknowns.time_step,
-        last=unknowns.last,
-        clamped_displacement=unknowns.clamped,
+        residual=others.residual + pressures.residual,
+        tangent=others.tangent + pressures.tangent,
+        energy=energy,
+        pressure=state.pressure,
+        time_step=state.time_step,
+        last=state.last,
+        clamped_displacement=state.clamped,
         prestretch=prestretch,
     )
 
 
+@dataclass(frozen=True, slots=True)
+class _Forms:
+    """Forms of some conditions.
+
+    Attributes:
+        residual: Virtual work.
+        tangent: Its derivative.
+        energy: Potential; None if the residual has none, or it is not part of these forms.
+    """
+
+    residual: ufl.Form
+    tangent: ufl.Form
+    energy: ufl.Form | None = None
+
+
 def _apply(
-    conditions: Mapping[str, Sequence[Condition]], wall: Wall, unknowns: WallUnknowns
+    conditions: Mapping[str, Sequence[Condition]], wall: Wall, state: WallState
 ) -> tuple[list[Contribution], list[PressureLoad]]:
     """Return the contributions of all conditions, and the pressures among them. Collective.
 
     Args:
         conditions: Conditions of each surface by name.
         wall: The wall.
-        unknowns: What the conditions of the wall share.
+        state: Its displacement, pressure and time step.
 
     Raises:
         ValueError: The wall has no such surface, or it does not suit a condition.
@@ -233,7 +224,7 @@ def _apply(
     loads: list[PressureLoad] = []
     for name, on_surface in conditions.items():
         facets(wall, name)  # raises an error if there is no such surface
-        surface = Surface(wall, name, unknowns)
+        surface = Surface(wall, name, state)
         for condition in on_surface:
             contribution = condition.contribution(surface)
             contributions.append(contribution)
@@ -242,6 +233,55 @@ def _apply(
         if any(condition.NEEDS_BOUNDARY for condition in on_surface):
             _check_outside(wall, name)
     return contributions, loads
+
+
+def _add(contributions: Sequence[Contribution], u: dolfinx.fem.Function) -> _Forms:
+    """Return the sum of the energies and residuals of contributions, and its tangent.
+
+    Args:
+        contributions: Contributions of all conditions; the shares of pressures are not used.
+        u: The displacement.
+    """
+    V = u.function_space
+    energy = ufl.Form([])
+    residual = ufl.Form([])
+    for contribution in contributions:
+        energy += contribution.energy
+        residual += contribution.residual
+    has_potential = residual.empty()
+    if not energy.empty():
+        residual += ufl.derivative(energy, u, ufl.TestFunction(V))
+    tangent = ufl.Form([])
+    if not residual.empty():
+        tangent += ufl.derivative(residual, u, ufl.TrialFunction(V))
+    return _Forms(residual, tangent, energy if has_potential else None)
+
+
+def _pressure_forms(
+    loads: Sequence[PressureLoad],
+    state: WallState,
+    bcs: Sequence[dolfinx.fem.DirichletBC],
+    tangent_kind: TangentKind,
+) -> _Forms:
+    """Return the residual and the tangent of pressures. Collective.
+
+    Args:
+        loads: The pressures.
+        state: Displacement and pressure of the wall.
+        bcs: Dirichlet conditions.
+        tangent_kind: Part of the tangent, see
+            :func:`~dolfinx_feti.mechanics.loads.follower_pressure_tangent`.
+    """
+    u = state.u
+    v = ufl.TestFunction(u.function_space)
+    du = ufl.TrialFunction(u.function_space)
+    residual = ufl.Form([])
+    tangent = ufl.Form([])
+    for load in loads:
+        p = load.share * state.pressure
+        residual += follower_pressure(p, u, v, load.ds)
+        tangent += follower_pressure_tangent(p, u, v, du, load.ds, tangent_kind, bcs=bcs)
+    return _Forms(residual, tangent)
 
 
 def axial_displacement(V: dolfinx.fem.FunctionSpace, axis: int, stretch: float) -> Array:
@@ -268,14 +308,14 @@ def _smallest_coordinate(mesh: dolfinx.mesh.Mesh, axis: int) -> float:
 
 
 def _create_prestretch(
-    axis: str, contributions: Sequence[Contribution], unknowns: WallUnknowns
+    axis: str, contributions: Sequence[Contribution], state: WallState
 ) -> Prestretch:
     """Return the prestretch along an axis.
 
     Args:
         axis: ``"x"``, ``"y"`` or ``"z"``.
         contributions: Contributions of all conditions.
-        unknowns: What the conditions of the wall share.
+        state: The state of the wall, with the displacement of clamped surfaces.
 
     Raises:
         ValueError: The axis is unknown, or fewer than two surfaces can be moved along it.
@@ -283,17 +323,17 @@ def _create_prestretch(
     if axis not in tuple(AXES):
         raise ValueError(f"axis={axis!r}: choose 'x', 'y' or 'z'.")
     number = AXES.index(axis)
-    ends = [contribution for contribution in contributions if number in contribution.prescribed]
+    ends = [contribution for contribution in contributions if number in contribution.stretched_axes]
     if len(ends) < 2:
         raise ValueError(
             f"axis={axis!r}: a prestretch pulls at two ends, but fewer surfaces are clamped or "
             f"slide in a plane normal to {axis}: give both ends Clamp() or Slide()."
         )
     planes = tuple(contribution.plane for contribution in ends if contribution.plane is not None)
-    return Prestretch(number, unknowns.clamped, planes)
+    return Prestretch(number, state.clamped, planes)
 
 
-def _trial_prescribed(
+def _trial_prestretch(
     V: dolfinx.fem.FunctionSpace, prestretch: Prestretch | None
 ) -> dolfinx.fem.Function:
     """Return the displacement of a trial prestretch, or zero without one. Collective."""

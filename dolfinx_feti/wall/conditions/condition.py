@@ -22,19 +22,12 @@ from dolfinx_feti.runtime.arrays import Indices
 from dolfinx_feti.wall.casekeys import Key
 from dolfinx_feti.wall.wall import Wall, facets, surface_measure
 
-__all__ = [
-    "Condition",
-    "Contribution",
-    "SlidingPlane",
-    "Surface",
-    "WallUnknowns",
-    "create_constant",
-]
+__all__ = ["Condition", "Contribution", "SlidingPlane", "Surface", "WallState", "create_constant"]
 
 
 @dataclass(frozen=True, slots=True)
-class WallUnknowns:
-    """The unknown of a wall, and what changes between two solves; shared by all conditions.
+class WallState:
+    """Displacement of a wall, and all that changes between two solves; shared by its conditions.
 
     Attributes:
         u: Displacement [mm], the unknown.
@@ -58,17 +51,17 @@ class Surface:
     Attributes:
         wall: The wall.
         name: Name of the surface.
-        unknowns: What the conditions of the wall share.
+        state: Displacement, pressure and time step of the wall.
     """
 
     wall: Wall
     name: str
-    unknowns: WallUnknowns
+    state: WallState
 
     @property
     def V(self) -> dolfinx.fem.FunctionSpace:
         """Space of the displacement."""
-        return self.unknowns.u.function_space
+        return self.state.u.function_space
 
     @property
     def facets(self) -> Indices:
@@ -111,13 +104,15 @@ class Contribution:
 
     Attributes:
         bcs: Dirichlet conditions.
-        energy: Potential in u [mN mm]; its derivatives are added to residual and tangent.
-        residual: Virtual work without a potential, with a test function of the space of u; its
-            derivative is added to the tangent, and the wall has no energy.
+        energy: Potential in u [mN mm], negative work of a load for instance; its derivatives are
+            added to residual and tangent.
+        residual: Internal minus external virtual work of a force without a potential, with a test
+            function of the space of u. Its derivative is added to the tangent, and the wall has no
+            energy.
         pressure_share: Share of the wall's pressure that follows this surface [-]; None for none.
-        prescribed: Numbers of the components of u that ``bcs`` set to ``WallUnknowns.clamped``, or
-            to the displacement of ``plane``: along these axes the surface is an end that an axial
-            prestretch moves. Empty for other prescribed displacements, which it does not move.
+        stretched_axes: Numbers of the axes along which an axial prestretch moves the surface: its
+            ``bcs`` prescribe these components of u by ``WallState.clamped``, or by the displacement
+            of ``plane``. Empty for a surface that no prestretch moves.
         plane: Plane in which the surface slides; None if it slides in none.
     """
 
@@ -125,7 +120,7 @@ class Contribution:
     energy: ufl.Form = field(default_factory=_no_form)
     residual: ufl.Form = field(default_factory=_no_form)
     pressure_share: dolfinx.fem.Constant | None = None
-    prescribed: tuple[int, ...] = ()
+    stretched_axes: tuple[int, ...] = ()
     plane: SlidingPlane | None = None
 
 

@@ -43,7 +43,7 @@ class Slide(Condition):
         component = surface.V.sub(axis)
         dofs = dolfinx.fem.locate_dofs_topological(component, 2, surface.facets)
         bc = dolfinx.fem.dirichletbc(sliding.displacement, dofs, component)
-        return Contribution(bcs=(bc,), prescribed=(axis,), plane=sliding)
+        return Contribution(bcs=(bc,), stretched_axes=(axis,), plane=sliding)
 
     @classmethod
     def from_case(cls, table: Mapping[str, Any], wall_pressure: float) -> Condition | None:
@@ -62,8 +62,8 @@ class Clamp(Condition):
     def contribution(self, surface: Surface) -> Contribution:
         """Return a condition on all components of the displacement."""
         dofs = dolfinx.fem.locate_dofs_topological(surface.V, 2, surface.facets)
-        bc = dolfinx.fem.dirichletbc(surface.unknowns.clamped, dofs)
-        return Contribution(bcs=(bc,), prescribed=(0, 1, 2))
+        bc = dolfinx.fem.dirichletbc(surface.state.clamped, dofs)
+        return Contribution(bcs=(bc,), stretched_axes=(0, 1, 2))
 
     @classmethod
     def from_case(cls, table: Mapping[str, Any], wall_pressure: float) -> Condition | None:

@@ -12,7 +12,7 @@ from dolfinx_feti.wall.casekeys import Key
 from dolfinx_feti.wall.conditions.condition import Condition
 from dolfinx_feti.wall.conditions.prescribed import Clamp, Slide
 from dolfinx_feti.wall.conditions.pressure import Pressure
-from dolfinx_feti.wall.conditions.tissue import Dashpot, Spring
+from dolfinx_feti.wall.conditions.supports import Dashpot, Spring
 
 __all__ = ["KINDS", "Conditions", "by_surface", "case_keys", "conditions_in_case"]
 

@@ -51,7 +51,7 @@ class Spring(Condition):
     def contribution(self, surface: Surface) -> Contribution:
         """Return the energy of the springs."""
         k = surface.constant(self.stiffness)
-        energy = spring_energy(k, surface.unknowns.u, surface.ds, self.direction)
+        energy = spring_energy(k, surface.state.u, surface.ds, self.direction)
         return Contribution(energy=energy)
 
     @classmethod
@@ -82,10 +82,8 @@ class Dashpot(Condition):
     def contribution(self, surface: Surface) -> Contribution:
         """Return the energy of the dashpots in a time step."""
         η = surface.constant(self.viscosity)
-        shared = surface.unknowns
-        energy = dashpot_energy(
-            η, shared.u, shared.last, shared.time_step, surface.ds, self.direction
-        )
+        state = surface.state
+        energy = dashpot_energy(η, state.u, state.last, state.time_step, surface.ds, self.direction)
         return Contribution(energy=energy)
 
     @classmethod
