@@ -24,7 +24,8 @@ from dolfinx_feti.meshes.tube import create_tube
 from dolfinx_feti.meshes.vessel import create_vessel
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.collective import on_root
-from dolfinx_feti.wall.casefile import Case, LayerMaterial, read_case
+from dolfinx_feti.wall.case import Case, LayerMaterial
+from dolfinx_feti.wall.casefile import read_case
 from dolfinx_feti.wall.conditions.condition import Condition
 from dolfinx_feti.wall.conditions.prescribed import Clamp
 from dolfinx_feti.wall.conditions.pressure import Pressure

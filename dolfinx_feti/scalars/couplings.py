@@ -16,7 +16,7 @@ import ufl
 from dolfinx_feti.scalars.cavity import Cavity
 from dolfinx_feti.scalars.equations import Coupling
 from dolfinx_feti.scalars.windkessel import Windkessel
-from dolfinx_feti.wall.casefile import Filling
+from dolfinx_feti.wall.case import Filling
 from dolfinx_feti.wall.wall import AXES, Wall, surface_measure
 
 __all__ = ["check_couplings", "coupling_works", "create_cavities", "refuse_condensed_fields"]

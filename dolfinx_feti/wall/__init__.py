@@ -4,15 +4,16 @@
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
 ``wall`` is a mesh with ``names``. ``xdmf`` and ``wallfile`` read it from files, with ``checks``;
-``wall_arrays`` is a wall before it is distributed. A case, ``casekeys`` and ``casefile``, is one
-TOML file with a wall and its ``conditions``. ``fibres`` and ``opening`` compute directions and
-residual stress. No file imports one that is listed after it.
+``wall_arrays`` is a wall before it is distributed. A ``case`` is a wall with materials and
+``conditions``; ``casefile`` reads it from one TOML file with the keys of ``casekeys``. ``laplace``
+and ``fibres`` compute directions of fibres, and ``opening`` residual stress.
 
 In the order of the data: names, wall, checks, xdmf, wall_arrays, wallfile, casekeys, conditions,
-casefile, fibres, opening.
+case, casefile, laplace, fibres, opening.
 """
 
-from dolfinx_feti.wall.casefile import Case, Filling, LayerMaterial, read_case
+from dolfinx_feti.wall.case import Case, Filling, LayerMaterial
+from dolfinx_feti.wall.casefile import read_case
 from dolfinx_feti.wall.conditions.boundary import Boundary, apply_conditions
 from dolfinx_feti.wall.conditions.condition import Condition, Contribution
 from dolfinx_feti.wall.conditions.prescribed import Clamp, Slide

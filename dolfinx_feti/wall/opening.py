@@ -35,7 +35,8 @@ from dolfinx_feti.mechanics.residual_stress import (
     residual_stretch,
 )
 from dolfinx_feti.mechanics.values import require_type
-from dolfinx_feti.wall.fibres import cell_mean, frame_of, gradient, potentials
+from dolfinx_feti.wall.fibres import cell_mean, frame_of, potentials
+from dolfinx_feti.wall.laplace import gradient
 from dolfinx_feti.wall.wall import Wall, by_layer
 
 __all__ = ["Opening"]

@@ -8,7 +8,7 @@ Conditions belong to the name of a surface; surfaces without any are free (docs/
     {"lumen": Pressure(), "outer": [Spring(1.0), Dashpot(0.1)], "opening_1": Clamp()}
 
 A new kind is a file with a subclass of ``Condition``, like ``pressure``. ``apply_conditions`` takes
-its objects as they are. A line in ``registry`` also makes it a key of a case in TOML; ``casefile``
+its objects as they are. A line in ``registry`` also makes it a key of a case in TOML; ``case``
 has rules for ``Pressure`` and ``Dashpot`` only. Public kinds are exported here and by ``wall``.
 Units: mm, kPa, s.
 
