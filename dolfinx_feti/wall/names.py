@@ -17,7 +17,14 @@ import numpy as np
 
 from dolfinx_feti.runtime.arrays import Numbers
 
-__all__ = ["Group", "Groups", "checked_groups", "merged_names", "named_tags", "names_of_tags"]
+__all__ = [
+    "Group",
+    "Groups",
+    "checked_groups",
+    "merged_names",
+    "tags_with_names",
+    "with_default_names",
+]
 
 #: Dimension and tag of each name.
 Groups: TypeAlias = Mapping[str, tuple[int, int]]
@@ -47,24 +54,26 @@ def checked_groups(names: Groups) -> list[Group]:
     return [(name, *pair) for name, pair in names.items() if name]
 
 
-def named_tags(names: Mapping[str, int], tags: Iterable[int], dim: int) -> dict[str, int]:
-    """Return a name for each tag that occurs, except for a 0 without a name.
+def with_default_names(names: Mapping[str, int], tags: Iterable[int], dim: int) -> dict[str, int]:
+    """Return the names of all tags that occur; a tag without one is called ``layer_7``.
+
+    A tag 0 without a name gets none.
 
     Args:
-        names: Names and their tags; other tags are called ``layer_7`` or ``surface_7``.
+        names: Names and their tags.
         tags: All tags that occur.
-        dim: 3 for layers, 2 for surfaces.
+        dim: 3 for layers, 2 for surfaces, which are called ``surface_7``.
     """
     present = {int(tag) for tag in tags}
     named = {name: tag for name, tag in names.items() if tag in present}
-    kind = "layer" if dim == 3 else "surface"
-    return named | {f"{kind}_{tag}": tag for tag in sorted(present - {0, *named.values()})}
+    prefix = "layer" if dim == 3 else "surface"
+    return named | {f"{prefix}_{tag}": tag for tag in sorted(present - {0, *named.values()})}
 
 
 def merged_names(
     of_file: Mapping[str, int], groups: Sequence[Group], dim: int, tags: Numbers
 ) -> dict[str, int]:
-    """Return the names of the tags of one dimension, those of the user before those of a file.
+    """Return the names of the tags of one dimension, from the user or else from the file.
 
     Args:
         of_file: Names and tags of the file. A name is dropped if the user names its tag.
@@ -77,7 +86,7 @@ def merged_names(
     return {name: tag for name, tag in (remaining | of_user).items() if np.any(tags == tag)}
 
 
-def names_of_tags(names: Mapping[str, int], tags: Numbers) -> list[tuple[str | None, int]]:
-    """Return the name of each tag that occurs, None for a nameless one, and the tag."""
+def tags_with_names(names: Mapping[str, int], tags: Numbers) -> list[tuple[str | None, int]]:
+    """Return name and tag of each tag that occurs; the name is None for a nameless one."""
     name_of = {tag: name for name, tag in names.items()}
     return [(name_of.get(int(tag)), int(tag)) for tag in np.unique(tags)]

@@ -23,7 +23,7 @@ import ufl
 from dolfinx_feti.mechanics.values import require_finite, require_type
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.collective import bounding_box, on_all
-from dolfinx_feti.wall.names import Group, Groups, checked_groups, named_tags
+from dolfinx_feti.wall.names import Group, Groups, checked_groups, with_default_names
 
 __all__ = ["Wall", "area", "by_layer", "create_wall", "facets", "openings", "surface_measure"]
 
@@ -134,7 +134,7 @@ def _named(groups: list[Group], tags: dolfinx.mesh.MeshTags, comm: MPI.Comm) -> 
         comm: Communicator of the mesh.
     """
     present = {int(tag) for part in comm.allgather(np.unique(tags.values)) for tag in part}
-    return named_tags(
+    return with_default_names(
         {name: tag for name, dim, tag in groups if dim == tags.dim}, present, tags.dim
     )
 

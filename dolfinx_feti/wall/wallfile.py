@@ -38,7 +38,13 @@ from dolfinx_feti.runtime.arrays import Numbers
 from dolfinx_feti.runtime.collective import on_root, on_root_only
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.wall.checks import CELLS, check_cells, check_faces, check_rows
-from dolfinx_feti.wall.names import Groups, checked_groups, merged_names, named_tags, names_of_tags
+from dolfinx_feti.wall.names import (
+    Groups,
+    checked_groups,
+    merged_names,
+    tags_with_names,
+    with_default_names,
+)
 from dolfinx_feti.wall.wall import Wall
 from dolfinx_feti.wall.wall_arrays import WallArrays, distribute, first_or_empty
 from dolfinx_feti.wall.xdmf import is_written_by_write_wall, read_parallel
@@ -133,8 +139,8 @@ def read_wall_arrays(path: Path) -> WallArrays:
     if not path.is_file():
         raise FileNotFoundError(f"There is no file {path}: give the path of a mesh of a wall")
     wall = _read_gmsh(path) if path.suffix == ".msh" else _read_meshio(path)
-    layers = names_of_tags(wall.layer_names, wall.layers)
-    surfaces = names_of_tags(wall.surface_names, wall.surfaces)
+    layers = tags_with_names(wall.layer_names, wall.layers)
+    surfaces = tags_with_names(wall.surface_names, wall.surfaces)
     missing = []
     if all(name is None for name, _ in layers):
         missing.append("named layer")
@@ -159,16 +165,15 @@ def _read_gmsh(path: Path) -> WallArrays:
     """Read the physical groups of a Gmsh file."""
     with _gmsh_model(path) as gmsh:
         tags, coordinates, _ = gmsh.model.mesh.getNodes()
-        cells, layers, layer_names = _gmsh_groups(gmsh, path, 3)
-        facets, surfaces, surface_names = _gmsh_groups(gmsh, path, 2)
+        cells, layers, layer_names = _read_groups(gmsh, path, 3)
+        facets, surfaces, surface_names = _read_groups(gmsh, path, 2)
         n_cells = sum(len(elements) for elements in gmsh.model.mesh.getElements(3)[1])
     if n_cells > len(cells):
         raise ValueError(
             f"{n_cells - len(cells)} cells of {path} are in no physical volume; {HELP}"
         )
     last = max(int(numbers.max(initial=0)) for numbers in (tags, cells, facets))
-    # index of each node by Gmsh's number; −1 for a missing node, for which check_rows raises an
-    # error
+    # index of each node by Gmsh's number; −1 for a missing node, which check_rows detects
     number = np.full(last + 1, -1)
     number[tags] = np.arange(len(tags))
     return WallArrays(
@@ -203,7 +208,7 @@ def _gmsh_model(path: Path) -> Iterator[ModuleType]:
             gmsh.finalize()
 
 
-def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Numbers, Numbers, dict[str, int]]:
+def _read_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Numbers, Numbers, dict[str, int]]:
     """Read the elements of all physical groups of one dimension.
 
     Args:
@@ -219,10 +224,32 @@ def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Numbers, Numbe
         ValueError: Two groups have the same name, an entity is in two groups, or elements are of a
             type that walls do not have.
     """
+    names = _group_names(gmsh, path, dim)
     elements: list[Numbers] = []
     tags: list[Numbers] = [np.zeros(0, dtype=np.int64)]
+    for entity, tag in _tags_of_entities(gmsh, path, dim).items():
+        types, _, nodes_of_type = gmsh.model.mesh.getElements(dim, entity)
+        for element_type, nodes in zip(types, nodes_of_type, strict=True):
+            rows = _gmsh_elements(gmsh, path, dim, element_type, nodes)
+            if elements and rows.shape[1] != elements[0].shape[1]:
+                raise _unsupported_elements(gmsh, path, element_type)
+            elements.append(rows)
+            tags.append(np.full(len(rows), tag))
+    all_elements = np.concatenate(elements or [np.zeros((0, dim + 1), dtype=np.int64)])
+    all_tags = np.concatenate(tags)
+    if not names:
+        return all_elements, all_tags, with_default_names({}, all_tags, dim)
+    present = {name: tag for name, tag in names.items() if np.any(all_tags == tag)}
+    return all_elements, all_tags, present
+
+
+def _group_names(gmsh: ModuleType, path: Path, dim: int) -> dict[str, int]:
+    """Return the names of the physical groups of one dimension, with their tags.
+
+    Raises:
+        ValueError: Two groups have the same name.
+    """
     names: dict[str, int] = {}
-    group_of: dict[int, str] = {}
     for _, tag in gmsh.model.getPhysicalGroups(dim):
         name = gmsh.model.getPhysicalName(dim, tag)
         if name and name in names:
@@ -232,26 +259,29 @@ def _gmsh_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Numbers, Numbe
             )
         if name:
             names[name] = tag
-        group = name or str(tag)
+    return names
+
+
+def _tags_of_entities(gmsh: ModuleType, path: Path, dim: int) -> dict[int, int]:
+    """Return the tag of the physical group of each entity of one dimension.
+
+    Raises:
+        ValueError: An entity is in two groups.
+    """
+    tag_of: dict[int, int] = {}
+    for _, tag in gmsh.model.getPhysicalGroups(dim):
         for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag):
-            if group_of.setdefault(entity, group) != group:
+            if entity in tag_of:
+                groups = [
+                    gmsh.model.getPhysicalName(dim, each) or str(each)
+                    for each in (tag_of[entity], tag)
+                ]
                 raise ValueError(
                     f"{'Volume' if dim == 3 else 'Surface'} {entity} of {path} is in two physical "
-                    f"groups, {group_of[entity]!r} and {group!r}: leave it in one of them"
+                    f"groups, {groups[0]!r} and {groups[1]!r}: leave it in one of them"
                 )
-            types, _, nodes_of_type = gmsh.model.mesh.getElements(dim, entity)
-            for element_type, nodes in zip(types, nodes_of_type, strict=True):
-                rows = _gmsh_elements(gmsh, path, dim, element_type, nodes)
-                if elements and rows.shape[1] != elements[0].shape[1]:
-                    raise _unsupported_elements(gmsh, path, element_type)
-                elements.append(rows)
-                tags.append(np.full(len(rows), tag))
-    all_elements = np.concatenate(elements or [np.zeros((0, dim + 1), dtype=np.int64)])
-    all_tags = np.concatenate(tags)
-    if not names:
-        return all_elements, all_tags, named_tags({}, all_tags, dim)
-    present = {name: tag for name, tag in names.items() if np.any(all_tags == tag)}
-    return all_elements, all_tags, present
+            tag_of[entity] = tag
+    return tag_of
 
 
 def _gmsh_elements(
@@ -317,8 +347,8 @@ def _read_meshio(path: Path) -> WallArrays:
         layers=layers,
         facets=blocks["triangle"][tagged].astype(np.int64),
         surfaces=surfaces[tagged],
-        layer_names=named_tags({}, layers[layers > 0], 3),
-        surface_names=named_tags({}, surfaces[tagged], 2),
+        layer_names=with_default_names({}, layers[layers > 0], 3),
+        surface_names=with_default_names({}, surfaces[tagged], 2),
     )
 
 

@@ -149,7 +149,7 @@ def test_generated_wall_is_kept_as_long_as_its_generator(tmp_path, monkeypatch):
     monkeypatch.setitem(walls.GENERATORS, "tube", create)
 
     def prepare(size):
-        on_first(lambda: walls._prepare("tube", size, folder))
+        on_first(lambda: walls._path_of_wall("tube", size, folder))
 
     for size in (0.4, 0.4, 0.5, 0.4 + 1e-9, 0.4 + 1e-9):
         prepare(size)
