@@ -232,11 +232,6 @@ def _oriented(mesh: dolfinx.mesh.Mesh, cell: Indices, local: Indices, facet: Num
 def _uses_second_side(sides: FacetSides, first: Numbers) -> Mask:
     """Return a mask of the facets that are integrated from their second side, (n,).
 
-    Each side of a connected surface has a mean normal, and a bulge: the mean of normal · (position
-    − centre) over a length. A curved surface bulges to its convex side; its inside is the side with
-    a positive bulge. If the bulge is smaller than the mean normal, the surface counts as plane, and
-    the sign of the first component of the mean normal that is not zero decides.
-
     Args:
         sides: Facet sides of all processes.
         first: First side of each interior facet, (n,).
@@ -250,30 +245,45 @@ def _uses_second_side(sides: FacetSides, first: Numbers) -> Mask:
         raise ValueError(
             f"facets are a surface with one side alone, such as a Möbius strip. {SIDE_REMEDY}"
         )
-    facet = np.tile(np.arange(n), 2)
-    area_vector = np.concatenate([sides.area[first], -sides.area[first]])
-    gdim = area_vector.shape[1]
-    count = int(label.max()) + 1
-    area = np.linalg.norm(area_vector, axis=1)
-    midpoint = sides.midpoint[first][facet]
+    area = sides.area[first]
+    midpoint = sides.midpoint[first]
+    is_selected = _is_selected(
+        label, np.concatenate([area, -area]), np.concatenate([midpoint, midpoint])
+    )
+    return np.asarray(~is_selected[label[:n]])
 
-    # mean normal and bulge of each side of each surface
-    total_area = np.bincount(label, area, count)
-    center = _sums(label, area[:, None] * midpoint, count) / total_area[:, None]
-    mean_normal = _sums(label, area_vector, count) / total_area[:, None]
-    heights = np.sum(area_vector * (midpoint - center[label]), axis=1)
-    bulge = np.bincount(label, heights, count) / total_area
+
+def _is_selected(label: Numbers, area: Array, midpoint: Array) -> Mask:
+    """Return a mask of the sides of connected surfaces that are integrated from, (labels,).
+
+    A side has a mean normal, and a bulge: the mean of normal · (position − centre) over a length. A
+    curved surface bulges to its convex side; its inside is the side with a positive bulge. If the
+    bulge is smaller than the mean normal, the surface counts as plane, and the sign of the first
+    component of the mean normal that is not zero decides.
+
+    Args:
+        label: Label of both sides of each facet, (2 n,).
+        area: Their area vectors, (2 n, gdim).
+        midpoint: Midpoint of their facet, (2 n, gdim).
+    """
+    gdim = area.shape[1]
+    count = int(label.max()) + 1
+    size = np.linalg.norm(area, axis=1)
+    total_size = np.bincount(label, size, count)
+    center = _sums(label, size[:, None] * midpoint, count) / total_size[:, None]
+    heights = np.sum(area * (midpoint - center[label]), axis=1)
+    bulge = np.bincount(label, heights, count) / total_size
     if gdim > 1:  # a length becomes a number, over the edge of a square of this area
-        bulge /= total_area ** (1.0 / (gdim - 1))
+        bulge /= total_size ** (1.0 / (gdim - 1))
+    mean_normal = _sums(label, area, count) / total_size[:, None]
+    normal_length = np.linalg.norm(mean_normal, axis=1)
+    is_curved = np.abs(bulge) > normal_length
 
     # component of the mean normal that decides for a plane surface
-    normal_length = np.linalg.norm(mean_normal, axis=1)
     is_component = np.abs(mean_normal) > NORMAL_RTOL * normal_length[:, None]
     axis = np.argmax(is_component, axis=1)  # the first one that is not zero
     along_axis = mean_normal[np.arange(count), axis]
-    is_curved = np.abs(bulge) > normal_length
-    is_selected = np.where(is_curved, bulge, along_axis) > 0.0
-    return np.asarray(~is_selected[label[:n]])
+    return np.asarray(np.where(is_curved, bulge, along_axis) > 0.0)
 
 
 def _side_labels(ridge: Numbers, direction: Array) -> Numbers:

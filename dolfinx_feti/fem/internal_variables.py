@@ -34,18 +34,30 @@ Updated: TypeAlias = Literal["all", "in_forces", "recorded"]
 
 
 @dataclass(frozen=True, slots=True)
-class InternalVariables:
-    """Internal variables ξ and their updates.
+class InternalVariable:
+    """An internal variable ξ.
 
     Attributes:
-        functions: ξ.
-        updates: Ξ of each ξ, compiled at the points of its element.
-        affects_forces: Whether each ξ affects the forces.
+        function: ξ.
+        update: Ξ, compiled at the points of the element of ξ.
+        affects_forces: Whether ξ affects the forces.
     """
 
-    functions: tuple[dolfinx.fem.Function, ...]
-    updates: tuple[dolfinx.fem.Expression, ...]
-    affects_forces: tuple[bool, ...]
+    function: dolfinx.fem.Function
+    update: dolfinx.fem.Expression
+    affects_forces: bool
+
+
+@dataclass(frozen=True, slots=True)
+class InternalVariables:
+    """All internal variables of a problem, which are updated together."""
+
+    variables: tuple[InternalVariable, ...]
+
+    @property
+    def functions(self) -> tuple[dolfinx.fem.Function, ...]:
+        """The Functions ξ."""
+        return tuple(variable.function for variable in self.variables)
 
     def update(self, which: Updated = "all") -> None:
         """Set ξ to Ξ at the present state. Collective.
@@ -55,12 +67,12 @@ class InternalVariables:
                 the equilibrium, ``"recorded"`` for the others, or ``"all"``.
         """
         new_values = {}
-        parts = zip(self.functions, self.updates, self.affects_forces, strict=True)
-        for ξ, update, affects_forces in parts:
-            kind = "in_forces" if affects_forces else "recorded"
+        for variable in self.variables:
+            kind = "in_forces" if variable.affects_forces else "recorded"
             if which in ("all", kind):
+                ξ = variable.function
                 new_values[ξ] = dolfinx.fem.Function(ξ.function_space)
-                new_values[ξ].interpolate(update)
+                new_values[ξ].interpolate(variable.update)
         for ξ, new in new_values.items():
             ξ.x.array[:] = new.x.array
             ξ.x.scatter_forward()
@@ -84,13 +96,12 @@ def create_internal_variables(
         ValueError: Cells share dofs of a Function, or its update has another shape.
     """
     on_all(lambda: _check_updates(updates), compiler.comm)
-    compiled = [
-        compiler.expression(update, interpolation_points(ξ.function_space))
-        for ξ, update in updates.items()
-    ]
     in_forces = _variables_in_forces(updates, coefficients)
-    affects_forces = tuple(ξ in in_forces for ξ in updates)
-    return InternalVariables(tuple(updates), tuple(compiled), affects_forces)
+    variables = []
+    for ξ, update in updates.items():
+        compiled = compiler.expression(update, interpolation_points(ξ.function_space))
+        variables.append(InternalVariable(ξ, compiled, ξ in in_forces))
+    return InternalVariables(tuple(variables))
 
 
 def _variables_in_forces(
