@@ -34,7 +34,15 @@ from dolfinx_feti.runtime.events import event
 from dolfinx_feti.wall.laplace import gradient, solve_laplace
 from dolfinx_feti.wall.wall import Wall, area, by_layer, facets, openings
 
-__all__ = ["ANGLES", "Frame", "fibre_families", "fibre_frame", "frame_of", "potentials"]
+__all__ = [
+    "ANGLES",
+    "Frame",
+    "Potentials",
+    "fibre_families",
+    "fibre_frame",
+    "frame_of",
+    "solve_potentials",
+]
 
 #: Angle α of the fibres in each layer [degrees] (Holzapfel, Gasser, Ogden 2000).
 ANGLES = {"media": 29.0, "adventitia": 62.0}
@@ -49,6 +57,19 @@ MIN_MEAN_LENGTH = 1e-3
 
 #: Relative difference below which two openings have the same area: a rounding margin.
 AREA_RTOL = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Potentials:
+    """The two potentials of a wall (P2), which stay with the material if the mesh moves.
+
+    Attributes:
+        through: t, through the wall: 0 on the inner surface, 1 on the outer one.
+        along: l, along the wall: 0 on the inlet, 1 on the other openings.
+    """
+
+    through: dolfinx.fem.Function
+    along: dolfinx.fem.Function
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,21 +103,21 @@ def fibre_frame(
         ValueError: There are fewer than two openings, or there is no such surface or inlet.
         ArithmeticError: A Laplace problem was not solved, or cells have no direction.
     """
-    through, along = potentials(wall, inner=inner, outer=outer, ends=ends, inlet=inlet)
-    return frame_of(wall, through, along)
+    potentials = solve_potentials(wall, inner=inner, outer=outer, ends=ends, inlet=inlet)
+    return frame_of(wall, potentials)
 
 
-def potentials(
+def solve_potentials(
     wall: Wall,
     *,
     inner: str = "lumen",
     outer: str = "outer",
     ends: Sequence[str] | None = None,
     inlet: str | None = None,
-) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:
-    """Return the two potentials of a frame, t through the wall and l along it (P2). Collective.
+) -> Potentials:
+    """Solve the two Laplace problems of a wall. Collective.
 
-    If the mesh moves afterwards, :func:`frame_of` has the frame of the moved wall.
+    If the mesh moves afterwards, :func:`frame_of` returns the frame of the moved wall.
 
     Args:
         wall: The wall, with at least two openings.
@@ -128,22 +149,22 @@ def potentials(
     if inlet not in names:
         raise ValueError(f"inlet={inlet!r} is not an opening; choose one of {', '.join(names)}")
     through = solve_laplace(wall, {inner: 0.0, outer: 1.0})
-    return through, solve_laplace(wall, {name: float(name != inlet) for name in names})
+    along = solve_laplace(wall, {name: float(name != inlet) for name in names})
+    return Potentials(through, along)
 
 
-def frame_of(wall: Wall, through: dolfinx.fem.Function, along: dolfinx.fem.Function) -> Frame:
-    """Return the frame of the two potentials on the current mesh. Collective.
+def frame_of(wall: Wall, potentials: Potentials) -> Frame:
+    """Return the frame of two potentials on the current mesh. Collective.
 
     Args:
         wall: The wall.
-        through: The potential t.
-        along: The potential l.
+        potentials: Its potentials, from :func:`solve_potentials`.
 
     Raises:
         ArithmeticError: Cells have no direction.
     """
-    grad_t = gradient(through)
-    grad_l = gradient(along)
+    grad_t = gradient(potentials.through)
+    grad_l = gradient(potentials.along)
     e2 = _unit_directions(wall, grad_t, np.zeros_like(grad_t))
     e1 = _unit_directions(wall, grad_l, e2)
     W = dolfinx.fem.functionspace(wall.mesh, ("DG", 0, (3,)))
@@ -178,7 +199,7 @@ def fibre_families(
     return first, second
 
 
-def _unit_directions(wall: Wall, along: Array, normal: Array) -> Array:
+def _unit_directions(wall: Wall, gradients: Array, normal: Array) -> Array:
     """Return unit vectors along gradients, orthogonal to normals, (cells, 3). Collective.
 
     If a gradient, or its orthogonal part, is too small, the direction is the mean over the cells at
@@ -187,7 +208,7 @@ def _unit_directions(wall: Wall, along: Array, normal: Array) -> Array:
 
     Args:
         wall: The wall.
-        along: Gradients, (cells, 3).
+        gradients: Gradients, (cells, 3).
         normal: Unit normals, or zero for no condition, (cells, 3).
 
     Raises:
@@ -195,8 +216,8 @@ def _unit_directions(wall: Wall, along: Array, normal: Array) -> Array:
     """
     comm = wall.mesh.comm
     n_owned = wall.mesh.topology.index_map(3).size_local
-    shortest = MIN_GRADIENT * cell_mean(wall, np.linalg.norm(along, axis=1))
-    e, has_direction = _unit(along, normal, shortest)
+    shortest = MIN_GRADIENT * cell_mean(wall, np.linalg.norm(gradients, axis=1))
+    e, has_direction = _unit(gradients, normal, shortest)
     missing = comm.allreduce(int(np.sum(~has_direction[:n_owned])))
     missing_before = -1
     while missing:
@@ -205,7 +226,7 @@ def _unit_directions(wall: Wall, along: Array, normal: Array) -> Array:
                 f"{missing} cells of the wall have no direction: check that lumen, outer and the "
                 "openings are tagged correctly"
             )
-        mean, has_mean = _unit(_around(wall, e), normal, MIN_MEAN_LENGTH)
+        mean, has_mean = _unit(_mean_around(wall, e), normal, MIN_MEAN_LENGTH)
         e = np.where(has_direction[:, None], e, mean)
         has_direction |= has_mean
         missing_before = missing
@@ -231,7 +252,7 @@ def _unit(v: Array, normal: Array, shortest: float) -> tuple[Array, Mask]:
     return inverse[:, None] * v, is_long
 
 
-def _around(wall: Wall, e: Array) -> Array:
+def _mean_around(wall: Wall, e: Array) -> Array:
     """Average vectors over the cells at each vertex, then over the vertices of each cell.
 
     Vertices without a vector in their cells count as zero. Collective.

@@ -35,7 +35,7 @@ from dolfinx_feti.mechanics.residual_stress import (
     residual_stretch,
 )
 from dolfinx_feti.mechanics.values import require_type
-from dolfinx_feti.wall.fibres import cell_mean, frame_of, potentials
+from dolfinx_feti.wall.fibres import cell_mean, frame_of, solve_potentials
 from dolfinx_feti.wall.laplace import gradient
 from dolfinx_feti.wall.wall import Wall, by_layer
 
@@ -61,7 +61,7 @@ class Opening:
             they are not checked then.
         middle: t of the middle surface of each cell's layer.
         directions: ê₀, ê₁ and ê₂ of the wall as meshed, vectors in each cell.
-        potentials: t and l of the wall, see :func:`~dolfinx_feti.wall.fibres.potentials`.
+        potentials: t and l of the wall.
     """
 
     def __init__(
@@ -98,14 +98,14 @@ class Opening:
         self._wall = wall
         self.angle = by_layer(wall, angles)
         stretch = by_layer(wall, stretches)
-        self.potentials = potentials(wall, inner=inner, outer=outer, ends=ends, inlet=inlet)
+        self.potentials = solve_potentials(wall, inner=inner, outer=outer, ends=ends, inlet=inlet)
         Q = self.angle.function_space
         W = dolfinx.fem.functionspace(wall.mesh, ("DG", 0, (3,)))
         self.curvature = dolfinx.fem.Function(Q, name="curvature")
         self._thickness = dolfinx.fem.Function(Q)  # 1/|∇t|
-        self.middle = by_layer(wall, self._means())
+        self.middle = by_layer(wall, self._middles())
         self.directions = [dolfinx.fem.Function(W) for _ in range(3)]
-        depth = (self.potentials[0] - self.middle) * self._thickness
+        depth = (self.potentials.through - self.middle) * self._thickness
         # lengths in units of ρ₀, so that the curvature is 1 and the depth ρ/ρ₀ − 1
         λ = residual_stretch(1.0, ufl.exp(self.curvature * depth) - 1, self.angle, stretch)
         self.G = opening_deformation(self.directions, λ, stretch)
@@ -113,11 +113,11 @@ class Opening:
 
     def update(self) -> None:
         """Compute directions, gradients and curvatures for the current mesh. Collective."""
-        frame = frame_of(self._wall, *self.potentials)
+        frame = frame_of(self._wall, self.potentials)
         directions = (frame.circumferential, frame.longitudinal, frame.transmural)
         for target, e in zip(self.directions, directions, strict=True):
             target.x.array[:] = e.x.array
-        slope = np.linalg.norm(gradient(self.potentials[0]), axis=1)  # |∇t|
+        slope = np.linalg.norm(gradient(self.potentials.through), axis=1)  # |∇t|
         min_slope = MIN_GRADIENT * cell_mean(self._wall, slope)
         self._thickness.x.array[:] = 1.0 / np.maximum(slope, min_slope)
         e0 = frame.circumferential.x.array.reshape(-1, 3)
@@ -125,29 +125,29 @@ class Opening:
         largest = MAX_CURVATURE_TIMES_THICKNESS / self._thickness.x.array
         self.curvature.x.array[:] = np.clip(around, 0.0, largest)  # 0: negative ones count as flat
 
-    def _means(self) -> dict[str, float]:
-        """Return the mean of t in each layer, weighted by |∇t|^½. Collective.
+    def _middles(self) -> dict[str, float]:
+        """Return t of the middle surface of each layer. Collective.
 
-        With this weight it is t at the middle radius of a tube, up to (h/ρ₀)⁴.
+        It is the mean of t weighted by |∇t|^½: in a tube, t at the middle radius up to (h/ρ₀)⁴.
         """
         wall = self._wall
-        t = self.potentials[0]
+        t = self.potentials.through
         metadata = {"quadrature_degree": 4}
         dx = ufl.Measure("dx", wall.mesh, subdomain_data=wall.cell_tags, metadata=metadata)
         weight = ufl.inner(ufl.grad(t), ufl.grad(t)) ** 0.25
-        means = {}
+        middles = {}
         for name, tag in wall.layers.items():
             forms = [dolfinx.fem.form(f * dx(tag)) for f in (t * weight, weight)]
             local = np.array([float(dolfinx.fem.assemble_scalar(form)) for form in forms])
             integral, total_weight = wall.mesh.comm.allreduce(local)
-            means[name] = float(integral / total_weight)
-        return means
+            middles[name] = float(integral / total_weight)
+        return middles
 
     def _normals(self) -> dolfinx.fem.Function:
         """Return the transmural directions at the vertices, unit vectors (P1)."""
         V = dolfinx.fem.functionspace(self._wall.mesh, ("Lagrange", 1, (3,)))
         n = dolfinx.fem.Function(V)
-        slope = ufl.grad(self.potentials[0])
+        slope = ufl.grad(self.potentials.through)
         # the vertex rule gives each vertex the gradients of its cells, weighted by their volumes
         dx = ufl.dx(metadata={"quadrature_rule": "vertex", "quadrature_degree": 1})
         sums = dolfinx.fem.assemble_vector(
