@@ -46,7 +46,8 @@ def test_studies_are_listed(capsys):
     assert len(lines) == len(STUDIES)
     for name, line in zip(STUDIES, lines, strict=True):
         assert line.startswith(f"python3 -m benchmarks.{name} ")
-        assert name not in MADE or re.search(r"\. \(\d+ cases", line), line
+        if name in MADE:
+            assert re.search(r"\. \(\d+ cases", line), line
 
 
 def test_commands_that_are_documented_exist():

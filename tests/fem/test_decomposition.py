@@ -136,7 +136,9 @@ def test_torn_dofs_are_pairs_of_subdomain_and_dof(mesh, family, degree, componen
     agree(space.V_torn.dofmap.index_map_bs == V.dofmap.index_map_bs)
     agree(space.V_torn.mesh is mesh and space.V_torn.ufl_element() == V.ufl_element())
     copies = np.bincount(whole(space.to_global), minlength=V.dofmap.index_map.size_global)
-    agree(copies.min() >= 1 and (family == "P" or copies.max() == 1))
+    agree(copies.min() >= 1)
+    if family == "DG":
+        agree(copies.max() == 1)
 
 
 def path_graph(*lengths):
@@ -160,7 +162,8 @@ def test_splinters_join_their_neighbours(part, expected):
     """They stay where they have none, as of two paths in one part."""
     graph = path_graph(len(part))
     joined = decomposition._join_splinters(graph, np.array(part, dtype=np.int32))
-    agree(expected is None or list(joined) == expected, joined)
+    if expected is not None:
+        equal(joined, expected)
     agree(len(np.unique(decomposition._facet_components(graph, joined))) == len(np.unique(part)))
     alone = np.zeros(5, dtype=np.int32)
     equal(decomposition._join_splinters(path_graph(3, 2), alone), alone)
@@ -172,8 +175,9 @@ def test_number_of_subdomains_is_as_asked(subdomains):
     mesh = tube(around=60)
     alone = mesh.comm.size == 1
     made = whole(np.array([decompose(mesh, subdomains).count]))
-    agree(made.sum() == subdomains or not alone, made)
-    agree(made.sum() >= subdomains)
+    if alone:
+        agree(made.sum() == subdomains, made)
+    agree(made.sum() >= subdomains, made)
 
 
 # -- a number of subdomains where the user gives none

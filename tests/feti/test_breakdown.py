@@ -216,7 +216,8 @@ def test_indefinite_matrix_is_refused(kind, interior, grid, share, least, torn_g
     ksp = create_ksp(problem.A, FETI(refuse_indefinite=True), **options)
     context = ksp.getPythonContext()
     agree(context.inertia.assembled == problem.negative, context.inertia)
-    agree((context.inertia.dual > 0) == (share > 0.0) or grid is ALONE)
+    if grid is not ALONE:
+        agree((context.inertia.dual > 0) == (share > 0.0))
     if least == 0:
         solved(ksp, problem)
     else:
@@ -239,8 +240,10 @@ def test_what_is_proved_is_there(kind, interior, share, torn_grid, create_dual):
             agree(interior == "keep" and pc_type != "dirichlet" and share > 0.0)
             continue
         agree(0 <= proved <= there, (proved, there))
-        agree(proved > 0 or there <= 1 or pc_type != "dirichlet", (proved, there))
-        agree(share > 0.0 or system.inertia.dual == 0)
+        if there > 1 and pc_type == "dirichlet":
+            agree(proved > 0, there)
+        if share == 0.0:
+            agree(system.inertia.dual == 0)
 
 
 # ---- the problem class ----------------------------------------------------------------------
@@ -311,7 +314,8 @@ def test_advice_that_is_followed_is_not_repeated(torn_grid, create_ksp, monkeypa
             failed(ksp, Reason.DIVERGED_BREAKDOWN, "stagnates", "-test_feti_pc_type dirichlet")
             agree(0 < ksp.getIterationNumber() < 500)
         new = recommended(said[-1])
-        agree(not said[-1] or new, said)
+        if said[-1]:
+            agree(new, said)
         agree(all(options[name] != value for name, value in new), said)
         options |= dict(new)
     agree(len(said) > 1 and said[-1] == "", said)
@@ -334,7 +338,8 @@ def test_dual_solve_that_takes_too_long_names_the_primal_formulation(
         expected = {"formulation": "primal"}
         if pc_type != "dirichlet":
             expected |= {"pc_type": "dirichlet"}
-        agree(said == "" or new == expected, said)
+        if said:
+            agree(new == expected, said)
         options |= new
 
 

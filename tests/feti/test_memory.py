@@ -24,7 +24,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from cases import case, each, every_type
-from collective import COMM, agree, garbage
+from collective import COMM, agree, equal, garbage
 from hand_torn import nowhere, random_values, unsymmetric
 from problems import cube, elasticity, poisson, torn
 
@@ -125,7 +125,7 @@ def test_operators_outlive_the_problem():
     values = u.x.array.copy()
     del linear
     collect()
-    agree(np.array_equal(u.x.array, values))
+    equal(u.x.array, values)
     agree(A.handle == 0)  # destroyed with its problem, and says so
 
 

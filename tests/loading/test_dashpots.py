@@ -242,7 +242,8 @@ def test_equilibrium_after_a_motion_that_is_gone(rate, has_dashpot):
     gc.collect()
     follow_load(problem, block.set_load, [1.5], STEPS, start=1.0)
     equal(owned(block.u), equilibrium(1.5), 1e-7)
-    agree(not has_dashpot or np.isinf(block.dt.value), f"time step {block.dt.value}")
+    if has_dashpot:
+        agree(np.isinf(block.dt.value))
 
 
 def test_equilibrium_of_another_problem_with_the_rate_of_a_motion():

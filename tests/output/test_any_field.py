@@ -109,7 +109,8 @@ def test_data_at_quadrature_points_are_written_there(tmp_path, kind, dim):
         agree(len(x) == S.function_space.dofmap.index_map.size_global)
         equal(s[:, 0], 2**k * (1 + x[:, 0] - 2 * x[:, 1]), 2**k * ROUNDING)
         equal(se, s * [1, 2, 3], 2**k * ROUNDING)
-        agree(not k or dim == 3 or len(np.unique(x.round(9), axis=0)) == len(x))
+        if k > 0 and dim == 2:
+            agree(len(np.unique(x.round(9), axis=0)) == len(x))
 
 
 def heavy(folder: Path, item: ElementTree.Element) -> Array:

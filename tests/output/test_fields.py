@@ -127,7 +127,10 @@ def test_what_is_written_is_read(u, tmp_path, kind):
         x = step["points"].T
         centroids = step["centroids"].T
         t = step["t"]
-        agree(x.shape[1] >= 4 * n if kind == "vtx" else centroids.shape[1] == n)
+        if kind == "vtx":
+            agree(x.shape[1] >= 4 * n)
+        else:
+            agree(centroids.shape[1] == n)
         equal(step["displacement"], displacement(x, t).T, ROUNDING)
         at = x if kind == "vtx" else centroids
         equal(step["divergence"][:, 0], divergence(at, t), ROUNDING)
@@ -224,7 +227,8 @@ def test_where_something_else_is(u, tmp_path, place, kind, match):
     on_first(put)
     with raises(OSError, match):
         FieldWriter(tmp_path / "run" / ("new/wall" if place == "run" else "wall"), [u], kind=kind)
-    agree(place.endswith("/") or (tmp_path / place).read_text() == "mine")
+    if not place.endswith("/"):
+        agree((tmp_path / place).read_text() == "mine")
 
 
 def test_a_full_disk_reaches_all(tmp_path, monkeypatch):

@@ -146,7 +146,10 @@ def test_signature_shows_all_arguments(problem):
     assert defaults == SHARED
     kinds = {parameter.kind for parameter in parameters.values()}
     assert not kinds & {inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL}
-    assert all(p.annotation is not inspect.Parameter.empty for p in parameters.values())
+    without_type = [
+        name for name, p in parameters.items() if p.annotation is inspect.Parameter.empty
+    ]
+    assert without_type == []
     documented = re.findall(r"^    (\w+): ", inspect.getdoc(problem.__init__), re.MULTILINE)
     assert documented[: len(parameters)] == list(parameters)
 

@@ -183,7 +183,8 @@ def test_own_test_against_petscs_newton():
     snes.setJacobian(tangent, A)
     snes.setKSP(problem.create_linear_solver())
     snes.setType("newtonls")
-    snes.getLineSearch().setType("basic") if hasattr(snes, "getLineSearch") else None
+    if hasattr(snes, "getLineSearch"):
+        snes.getLineSearch().setType("basic")
     snes.setConvergenceTest(record, ("PETSc",))
     snes.solve(None, x)
     equal(x.array_r, solution, 1e-6)

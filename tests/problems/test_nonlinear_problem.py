@@ -50,7 +50,8 @@ def test_same_wall_for_all_decompositions(degree, subdomains, references):
     expected = references[degree]
     cells = COMM.allreduce(body.p.function_space.dofmap.index_map.size_local)
     problem = body.problem(cells if subdomains == "cells" else subdomains, TIGHT)
-    agree(COMM.allreduce(problem.decomposition.count) == cells or subdomains != "cells")
+    if subdomains == "cells":
+        agree(COMM.allreduce(problem.decomposition.count) == cells)
     body.inflate(problem, [PRESSURE])
     equal(by_place(body.u), by_place(expected.u), 1e-8)
     equal(by_place(body.p), by_place(expected.p), 1e-7)
@@ -264,7 +265,8 @@ def test_second_edit_compiles_nothing(given, monkeypatch):
         options = {"snes_rtol": 1e-10}
         NonlinearProblem(form, u, bcs=[bc], subdomains=4, petsc_options=options).solve()
         calls = COMM.allreduce(len(compiled))
-        agree(edit == 1 or calls == 0, f"{calls} calls of the C compiler")
+        if edit > 1:
+            agree(calls == 0, "calls of the C compiler")
         kinds = [{i.integral_type() for i in form.integrals()} for form in analysed]
         cells = sum("cell" in kind for kind in kinds)
         agree(cells == (3 if given == "energy" else 2), kinds)

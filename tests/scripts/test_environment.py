@@ -156,7 +156,7 @@ def test_tree_is_made_once_from_the_machines_mirror(machine: Machine) -> None:
         packages.write("apt another\n")
     assert machine.run("true").returncode == 0
     assert len(machine.calls("debootstrap")) == 2
-    assert any(call.endswith("another") or " another" in call for call in machine.calls("chroot"))
+    assert [call for call in machine.calls("chroot") if "another" in call.split()] != []
     assert machine.left() == {"trixie"}
 
 

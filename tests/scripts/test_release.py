@@ -120,7 +120,7 @@ def test_dependencies_are_what_the_package_imports():
     at_choice = {"matplotlib", "pypardiso", "pyvista"}
     own = {"dolfinx_feti", *sys.stdlib_module_names}
     assert names - own - at_choice == names_of(project["dependencies"]) | with_dolfinx
-    assert all(">=" in need for need in project["dependencies"])
+    assert [need for need in project["dependencies"] if ">=" not in need] == []
 
 
 def test_changelog_begins_with_the_version():
@@ -143,4 +143,5 @@ def test_recipes_name_the_version_and_the_needs():
     workflow = (ROOT / ".github/workflows/ci.yml").read_text()
     jobs = re.findall(r"^.*(?:pip|conda) install (?!--).*(?:\n {10}[\w\"].*)*", workflow, re.M)
     assert len(jobs) == 2
-    assert all(needs <= set(re.findall(r"[\w-]+", job)) for job in jobs)
+    for job in jobs:
+        assert needs <= set(re.findall(r"[\w-]+", job))

@@ -61,18 +61,18 @@ def test_every_cell_has_its_layer(wall):
     tags = wall.cell_tags
     n = wall.mesh.topology.index_map(3).size_local
     mine = tags.values[tags.indices < n]
-    agree(np.array_equal(tags.indices[tags.indices < n], np.arange(n)))
+    equal(tags.indices[tags.indices < n], np.arange(n))
     agree(COMM.allreduce(n) == 336)
     x = centroids(wall)[:n]
     inside = np.linalg.norm(x[:, :2], axis=1) < RADII[1] * np.cos(ANGLE / 2)
-    agree(np.array_equal(mine == wall.layers["media"], inside))
+    equal(mine == wall.layers["media"], inside)
 
 
 def test_every_exterior_facet_has_its_surface(wall):
     wall.mesh.topology.create_connectivity(2, 3)
     exterior = dolfinx.mesh.exterior_facet_indices(wall.mesh.topology)
     tagged = wall.facet_tags.indices
-    agree(np.array_equal(np.sort(tagged[np.isin(tagged, exterior)]), np.sort(exterior)))
+    equal(np.sort(tagged[np.isin(tagged, exterior)]), np.sort(exterior))
     side = 2 * np.sin(ANGLE / 2) * AROUND * LENGTH
     ring = AROUND * np.sin(ANGLE) / 2
     for name, r in (("lumen", RADII[0]), ("outer", RADII[2])):

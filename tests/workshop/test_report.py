@@ -113,7 +113,8 @@ def test_wrong_sign_fails():
     report = check(material(energies.wrong_sign), n=5)
     assert outcomes(report.checks, "fail") >= {"stiffness at rest positive", f"{ELLIPTIC}uniaxial"}
     assert "least energy at the reference" in outcomes(report.checks, "warn")
-    assert np.isnan(report.moduli.young).all() and report.moduli.shear == pytest.approx(-C)
+    np.testing.assert_array_equal(report.moduli.young, np.nan)
+    assert report.moduli.shear == pytest.approx(-C)
 
 
 def test_nothing_resists_a_change_of_volume():
@@ -128,7 +129,8 @@ def test_no_stiffness_at_rest():
     assert "stiffness at rest positive" in outcomes(report.checks, "warn")
     failed = outcomes(report.checks, "fail")
     assert failed == {name for name in failed if "elliptic" in name} != set()
-    assert report.moduli is not None and np.isnan(report.moduli.young).all()
+    assert report.moduli is not None
+    np.testing.assert_array_equal(report.moduli.young, np.nan)
 
 
 def test_nan_is_reported_with_its_state():
@@ -219,7 +221,7 @@ def test_nan_does_not_pass(warn):
 def test_random_states(incompressible):
     F = random_states(np.random.default_rng(3), 50, 0.4, incompressible=incompressible)
     stretches = np.log(np.linalg.svd(F, compute_uv=False))
-    assert (np.linalg.det(F) > 0).all()
+    assert np.linalg.det(F).min() > 0
     assert np.abs(stretches).max() <= 0.4 * (2 if incompressible else 1)
     assert np.abs(stretches).max() > 0.3
     volume = np.abs(np.log(np.linalg.det(F))).max()
@@ -367,7 +369,8 @@ def test_least_eigenvalue_is_the_least_of_all(psi, kappa, stretches):
     assert np.linalg.norm(n) == pytest.approx(1)
     found = brute_force(F, at.A[0], incompressible)
     assert least <= found + 1e-12 and found - least < 0.02 * np.abs(A).max()
-    assert least < 0 or stretches is not COMPRESSED
+    if stretches is COMPRESSED:
+        assert least < 0
 
 
 def test_pressure_does_not_count_if_incompressible():

@@ -45,7 +45,7 @@ def test_incompressible_rubber(make, stress):
     neo_hookean = ((psi, C / 2, 0) for psi in (energies.neo_hookean, energies.unsplit))
     for psi, c10, c01 in (*neo_hookean, (energies.mooney_rivlin, C10, C01)):
         response = respond(material(psi), make(STRETCH))
-        assert response.converged.all()
+        np.testing.assert_array_equal(response.converged, True)
         np.testing.assert_allclose(response.sigma[:, 0, 0], stress(STRETCH, c10, c01), **exact)
         np.testing.assert_allclose(response.P[:, 0, 0] * STRETCH, response.sigma[:, 0, 0], **exact)
         np.testing.assert_allclose(response.J, 1, rtol=1e-13)
@@ -126,7 +126,7 @@ def test_oblique_fibres_let_a_specimen_shear(kappa):
     assert np.abs(response.F[2, 0, 1]) > 0.05
     held = respond(material(energies.oblique, kappa=kappa), equibiaxial([1.2, 1.5]))
     np.testing.assert_array_equal(held.F[:, 0, 1], 0)
-    assert (np.abs(held.sigma[:, 0, 1]) > 0.1).all()
+    assert np.abs(held.sigma[:, 0, 1]).min() > 0.1
     np.testing.assert_allclose(held.sigma[:, 2], 0, atol=1e-10)
 
 
@@ -192,7 +192,8 @@ def test_collapse_is_no_equilibrium():
     response = respond(material(energies.saint_venant, kappa=0.0), equibiaxial([1.0, 1.37, 1.6]))
     np.testing.assert_array_equal(response.converged, [True, True, False])
     assert response.F[1, 2, 2] ** 2 == pytest.approx(1 - 10 / 9 * (1.37**2 - 1), rel=1e-10)
-    assert np.isnan(response.sigma[2]).all() and np.isnan(response.psi[2])
+    np.testing.assert_array_equal(response.sigma[2], np.nan)
+    np.testing.assert_array_equal(response.psi[2], np.nan)
 
 
 def test_states_that_are_no_numbers():
@@ -205,10 +206,10 @@ def test_far_states_are_reached_in_steps(monkeypatch):
     import dolfinx_feti.workshop.equilibrium as module
 
     path = uniaxial([2.2])
-    assert respond(material(energies.hgo), path).converged.all()
+    np.testing.assert_array_equal(respond(material(energies.hgo), path).converged, True)
     monkeypatch.setattr(module, "LOAD_STEPS", (1,))
     monkeypatch.setattr(module, "MAX_STEPS", 8)
-    assert not respond(material(energies.hgo), path).converged.any()
+    np.testing.assert_array_equal(respond(material(energies.hgo), path).converged, False)
 
 
 # -- tables and bad input ----------------------------------------------------------------------
@@ -299,7 +300,8 @@ def test_slopes_of_response_curves(kappa):
 
 def test_nothing_resists_a_change_of_volume():
     moduli = small_strain_moduli(material(energies.neo_hookean, kappa=0.0))
-    assert np.isnan(moduli.young).all() and np.isnan(moduli.poisson).all()
+    np.testing.assert_array_equal(moduli.young, np.nan)
+    np.testing.assert_array_equal(moduli.poisson, np.nan)
     assert moduli.bulk == pytest.approx(0, abs=1e-14)
     assert moduli.least == pytest.approx(0, abs=1e-14)
     assert "not positive definite" in str(moduli)

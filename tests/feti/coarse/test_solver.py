@@ -121,10 +121,12 @@ def test_choice_of_the_factor(kind, inverse_rows, factored, monkeypatch):
     if solver.inverse is not None:
         own = slice(n // COMM.size * COMM.rank, n // COMM.size * (COMM.rank + 1))
         equal(solver.inverse, np.linalg.inv(A)[own], 1e-14)
-    agree("inverse" in str(solver) or solver.inverse is None)
+    if solver.inverse is not None:
+        agree("inverse" in str(solver))
     pivots = {"singular": (0, 1), "indefinite": (1, 0)}.get(kind, (0, 0))
     agree(solver.inertia() == pivots, (kind, solver.inertia(), pivots))
-    agree(solver.memory() > 0.0 or not by_fronts)
+    if by_fronts:
+        agree(solver.memory() > 0.0)
     computed, expected = system.solve_random()
     equal(A @ computed, A @ expected, 1e-12)
 
