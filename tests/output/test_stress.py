@@ -10,6 +10,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 import pytest
+from cases import each
 from collective import COMM, agree, equal, raises, small, whole
 from problems import cube
 from walls import INTERFACE, create_mesh, tube
@@ -205,35 +206,96 @@ def test_with_a_normal_means_count_along_the_wall_only():
 # -- what is refused
 
 
-def test_bad_input():
-    mesh = mesh_of(2)
-    patches, jump = patches_of(mesh)
-    x = ufl.SpatialCoordinate(mesh)
-    other = ufl.SpatialCoordinate(mesh_of(2))
-    layers = split(mesh)
-    one = np.ones(1, dtype=np.int32)
-    facets = dolfinx.mesh.meshtags(mesh, 1, one - 1, one)
-    here = layers.find(7)
-    some = dolfinx.mesh.meshtags(mesh, 2, here, np.full(len(here), 7, dtype=np.int32))
-    σ = ufl.outer(x, x)
-    u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,))))
-    quadrilaterals = cube(2, 2, dolfinx.mesh.CellType.quadrilateral)
-    for error, match, work in (
-        (TypeError, "quadrilateral with 4 nodes in 2", lambda: create_patches(quadrilaterals)),
-        (ValueError, "degree=2: give a quadrature degree", lambda: create_patches(mesh, degree=2)),
-        (ValueError, "tags of dimension 2, or", lambda: create_patches(mesh, split(cube(2, 6)))),
-        (ValueError, "tags of dimension 1, or", lambda: create_patches(mesh, facets)),
-        (ValueError, "layers: 36 cells have no tag", lambda: create_patches(mesh, some)),
-        (ValueError, "does not live on the mesh", lambda: recovered_field(other, patches)),
-        (ArithmeticError, "in 36 cells", lambda: recovered_field(x / (jump * x[0]), patches)),
-        (ValueError, "give a vector of 2", lambda: recovered_field(x, patches, normal=x)),
-        (ValueError, "give a vector of 2", lambda: recovered_field(σ, patches, normal=x[0])),
-        (ArithmeticError, "vanishes at 432", lambda: recovered_field(σ, patches, normal=0 * x)),
-        (ValueError, r"A stress of shape \(\) with", lambda: balanced_stress(x[0], u, normal=x)),
-        (ArithmeticError, "nowhere zero", lambda: balanced_stress(σ, u, normal=u)),
-    ):
-        with raises(error, match):
-            work()
+class Plane:
+    """A square, its patches, and data that do not fit them."""
+
+    def __init__(self):
+        self.mesh = mesh_of(2)
+        self.patches, self.jump = patches_of(self.mesh)
+        self.x = ufl.SpatialCoordinate(self.mesh)
+        self.σ = ufl.outer(self.x, self.x)
+        V = dolfinx.fem.functionspace(self.mesh, ("Lagrange", 2, (2,)))
+        self.zero = dolfinx.fem.Function(V)
+
+    def tags_of_facets(self):
+        one = np.ones(1, dtype=np.int32)
+        return dolfinx.mesh.meshtags(self.mesh, 1, one - 1, one)
+
+    def tags_of_one_layer(self):
+        cells = split(self.mesh).find(7)
+        return dolfinx.mesh.meshtags(self.mesh, 2, cells, np.full(len(cells), 7, dtype=np.int32))
+
+
+QUADRILATERAL = dolfinx.mesh.CellType.quadrilateral
+#: A call with wrong arguments, the error, and its message.
+REFUSED = {
+    "cells": (
+        lambda b: create_patches(cube(2, 2, QUADRILATERAL)),
+        TypeError,
+        "quadrilateral with 4 nodes in 2",
+    ),
+    "degree": (
+        lambda b: create_patches(b.mesh, degree=2),
+        ValueError,
+        "degree=2: give a quadrature degree",
+    ),
+    "layers-of-another-mesh": (
+        lambda b: create_patches(b.mesh, split(cube(2, 6))),
+        ValueError,
+        "tags of dimension 2, or",
+    ),
+    "layers-of-facets": (
+        lambda b: create_patches(b.mesh, b.tags_of_facets()),
+        ValueError,
+        "tags of dimension 1, or",
+    ),
+    "cells-without-a-layer": (
+        lambda b: create_patches(b.mesh, b.tags_of_one_layer()),
+        ValueError,
+        "layers: 36 cells have no tag",
+    ),
+    "field-of-another-mesh": (
+        lambda b: recovered_field(ufl.SpatialCoordinate(mesh_of(2)), b.patches),
+        ValueError,
+        "does not live on the mesh",
+    ),
+    "infinite-field": (
+        lambda b: recovered_field(b.x / (b.jump * b.x[0]), b.patches),
+        ArithmeticError,
+        "in 36 cells",
+    ),
+    "normal-of-a-vector": (
+        lambda b: recovered_field(b.x, b.patches, normal=b.x),
+        ValueError,
+        "give a vector of 2",
+    ),
+    "scalar-as-a-normal": (
+        lambda b: recovered_field(b.σ, b.patches, normal=b.x[0]),
+        ValueError,
+        "give a vector of 2",
+    ),
+    "zero-as-a-normal": (
+        lambda b: recovered_field(b.σ, b.patches, normal=0 * b.x),
+        ArithmeticError,
+        "vanishes at 432",
+    ),
+    "scalar-as-a-stress": (
+        lambda b: balanced_stress(b.x[0], b.zero, normal=b.x),
+        ValueError,
+        r"A stress of shape \(\) with",
+    ),
+    "zero-as-a-normal-of-a-balanced-stress": (
+        lambda b: balanced_stress(b.σ, b.zero, normal=b.zero),
+        ArithmeticError,
+        "nowhere zero",
+    ),
+}
+
+
+@each(("call", "error", "message"), REFUSED)
+def test_bad_input(call, error, message):
+    with raises(error, message):
+        call(Plane())
 
 
 def test_patches_follow_a_mesh_that_moves():

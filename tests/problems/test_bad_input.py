@@ -11,6 +11,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
+from cases import each
 from collective import COMM, agree, raises
 from problems import Problem, cube, dirichlet, elasticity, left, poisson
 from walls import Wall, tube, wall
@@ -181,42 +182,84 @@ COMPILED = "is a compiled form, which cannot be torn any more: give the form of 
 COMPLEX = "contains .*complex128.* real and imaginary parts"
 
 
-def complex_data(V):
-    """Return a Function and a Constant of complex numbers."""
-    one = dolfinx.fem.Constant(V.mesh, np.complex128(1.0 + 2.0j))
-    return dolfinx.fem.Function(V, dtype=np.complex128), one
+def complex_function(V):
+    return dolfinx.fem.Function(V, dtype=np.complex128)
 
 
-def test_linear_forms():
-    problem = poisson(cube(2, 4))
-    V = problem.V
-    a = problem.a
-    L = problem.L
-    W, Q = (dolfinx.fem.functionspace(V.mesh, e) for e in (("Lagrange", 2), ("DG", 0)))
-    u = ufl.TrialFunction(V)
-    v = ufl.TestFunction(V)
-    w = ufl.TestFunction(W)
-    uh = dolfinx.fem.Function(V)
-    twice = [[a, None], [None, a]]
-    condense = {"condense": dolfinx.fem.Function(Q)}
-    for changes, message in (
-        ({"u": dolfinx.fem.Function(W)}, "a has .* on another function space than u"),
-        ({"a": u * w * ufl.dx}, "a has a test or trial function on another"),
-        ({"L": 1.0 * w * ufl.dx}, "L has"),
-        ({"a": L, "L": a}, "a has"),
-        ({"a": twice, "L": [L, L]}, f"^a {BLOCK}"),
-        ({"a": twice, "L": [L]}, "There are 2 unknowns: give a as 2 × 2 blocks"),
-        ({"a": twice, "L": [L, 3]}, "a or L holds 3: give forms of UFL, or None for zero"),
-        ({"u": [uh, uh]}, "There are 2 unknowns: give a as 2 × 2 blocks"),
-        ({"a": dolfinx.fem.form(a)}, f"^a {COMPILED}"),
-        ({"L": dolfinx.fem.form(L)}, f"^L {COMPILED}"),
-        ({"L": 0}, "^L is 0: give a form of UFL"),
-        ({"a": [[a]], "L": [L], **condense}, r"give a as 2 × 2 blocks, such as \[\[a_uu, a_up\]"),
-        ({"a": twice, "L": [L, None], **condense}, r"a\[1\]\[1\] has test and .* other spaces"),
-        *(({"a": k * u * v * ufl.dx}, f"a {COMPLEX}") for k in complex_data(V)),
-    ):
-        with raises(TypeError if COMPLEX in message else ValueError, message):
-            linear(problem, **changes)
+def complex_constant(V):
+    return dolfinx.fem.Constant(V.mesh, np.complex128(1.0 + 2.0j))
+
+
+class Poisson:
+    """Poisson's equation as blocks and forms that are right, and spaces that are not its own."""
+
+    def __init__(self):
+        self.problem = poisson(cube(2, 4))
+        self.V = self.problem.V
+        self.a = self.problem.a
+        self.L = self.problem.L
+        self.other = dolfinx.fem.functionspace(self.V.mesh, ("Lagrange", 2))
+        self.pressures = dolfinx.fem.functionspace(self.V.mesh, ("DG", 0))
+        self.u = ufl.TrialFunction(self.V)
+        self.v = ufl.TestFunction(self.V)
+        self.w = ufl.TestFunction(self.other)
+        self.uh = dolfinx.fem.Function(self.V)
+        self.p = dolfinx.fem.Function(self.pressures)
+        self.diagonal = [[self.a, None], [None, self.a]]
+
+
+#: Wrong arguments of a linear problem, and the message.
+LINEAR = {
+    "u-of-another-space": (
+        lambda b: {"u": dolfinx.fem.Function(b.other)},
+        "a has .* on another function space than u",
+    ),
+    "a-of-another-space": (
+        lambda b: {"a": b.u * b.w * ufl.dx},
+        "a has a test or trial function on another",
+    ),
+    "L-of-another-space": (lambda b: {"L": 1.0 * b.w * ufl.dx}, "L has"),
+    "swapped": (lambda b: {"a": b.L, "L": b.a}, "a has"),
+    "blocks": (lambda b: {"a": b.diagonal, "L": [b.L, b.L]}, f"^a {BLOCK}"),
+    "blocks-with-one-load": (
+        lambda b: {"a": b.diagonal, "L": [b.L]},
+        "There are 2 unknowns: give a as 2 × 2 blocks",
+    ),
+    "number-as-a-block": (
+        lambda b: {"a": b.diagonal, "L": [b.L, 3]},
+        "a or L holds 3: give forms of UFL, or None for zero",
+    ),
+    "two-unknowns-in-one-block": (
+        lambda b: {"u": [b.uh, b.uh]},
+        "There are 2 unknowns: give a as 2 × 2 blocks",
+    ),
+    "compiled-a": (lambda b: {"a": dolfinx.fem.form(b.a)}, f"^a {COMPILED}"),
+    "compiled-L": (lambda b: {"L": dolfinx.fem.form(b.L)}, f"^L {COMPILED}"),
+    "number-as-L": (lambda b: {"L": 0}, "^L is 0: give a form of UFL"),
+    "one-block-of-two": (
+        lambda b: {"a": [[b.a]], "L": [b.L], "condense": b.p},
+        r"give a as 2 × 2 blocks, such as \[\[a_uu, a_up\]",
+    ),
+    "block-of-another-space": (
+        lambda b: {"a": b.diagonal, "L": [b.L, None], "condense": b.p},
+        r"a\[1\]\[1\] has test and .* other spaces",
+    ),
+    "complex-function": (
+        lambda b: {"a": complex_function(b.V) * b.u * b.v * ufl.dx},
+        f"a {COMPLEX}",
+    ),
+    "complex-constant": (
+        lambda b: {"a": complex_constant(b.V) * b.u * b.v * ufl.dx},
+        f"a {COMPLEX}",
+    ),
+}
+
+
+@each(("wrong", "message"), LINEAR)
+def test_linear_forms(wrong, message):
+    body = Poisson()
+    with raises(TypeError if COMPLEX in message else ValueError, message):
+        linear(body.problem, **wrong(body))
 
 
 @pytest.mark.skipif(has_vertex_integrals(), reason="dolfinx assembles them")
@@ -279,56 +322,134 @@ def test_nothing_is_wrong(body):
     create(body, F=energy, energy=energy, condense=None)
 
 
-def test_forms(body):
-    u = body.u
-    p = body.p
-    F_u = body.F_u
-    F_p = body.F_p
-    twin = dolfinx.fem.Function(u.function_space)
-    V = u.function_space
-    W = space(body, "Lagrange", 2, (3,))
-    S = space(body, "Lagrange", 1)
-    one = dolfinx.fem.Constant(V.mesh, 1.0)
-    du = ufl.TrialFunction(V)
-    v = ufl.TestFunction(V)
-    q = ufl.TestFunction(p.function_space)
-    foreign = [ufl.TestFunction(other) for other in (W, space(body, "Lagrange", 1, (3,)))]
-    J_u = ufl.inner(ufl.grad(du), ufl.grad(v)) * ufl.dx
-    psi, J = solid(body)
-    whole, twice = ((psi + kappa * (J - 1) ** 2) * ufl.dx for kappa in (1.0, 2.0))
-    inside = ufl.inner(ufl.jump(ufl.grad(u)), ufl.jump(ufl.grad(u))) * ufl.dS
-    alone = {"condense": None}
-    other = " has a test or trial function on another function space than u"
-    tolerance = "volume_tolerance is"
-    for changes, message in (
-        ({"F": ufl.inner(du, v) * ufl.dx, **alone}, "F has 2 arguments: give a residual or an"),
-        ({"F": F_u}, "F has 1 arguments: .*the pair of its residuals"),
-        (alone, "F is a sequence of 2 forms: .*condense=p"),
-        ({"F": [F_u, F_p, F_p]}, "F is a sequence of 3 forms: give a residual .* and one for"),
-        ({"F": [body.energy, F_p]}, "F is a sequence of 2 forms: give a residual "),
-        ({"F": [F_p, F_u]}, "residuals on other spaces: test them with v in V and q in Q"),
-        *(({"F": ufl.inner(u, w) * ufl.dx, **alone}, f"F{other}") for w in foreign),
-        ({"J": F_u}, "J has 1 test and trial functions, but takes 2"),
-        ({"J": ufl.inner(ufl.TrialFunction(W), foreign[0]) * ufl.dx}, f"J{other}"),
-        ({"F": one * ufl.dx, **alone}, "unknown 'u' does not occur in F"),
-        ({"F": one * v[2] * ufl.dx, **alone}, "unknown 'u' does not occur in F"),
-        ({"F": psi * ufl.dx + inside, **alone}, "interior-facet integrals, .*dx and ds only"),
-        ({"F": [F_u, F_p + ufl.jump(p) * ufl.jump(q) * ufl.dS]}, "interior-facet integrals"),
-        ({"F": whole, "energy": twice, **alone}, "energy is not F, .*: leave energy out"),
-        ({"quadrature_degree": -1}, "degree = -1"),
-        ({"F": [F_u, F_u], "u": [u, u], **alone}, "u holds a Function twice"),
-        ({"F": [F_u, F_u], "u": [u, twin], **alone}, f"^u {BLOCK}"),
-        *(({"u": wrong}, "^u is .*: give a dolf") for wrong in (ufl.split(u)[:2], [u, 3], "up")),
-        ({"J": [[J_u, None]]}, "^J is no 2 × 2 block: .* leave J out"),
-        ({"J": [[None, None], [None, None]]}, r"^J has no block of u, J\[0\]\[0\]"),
-        ({"F": dolfinx.fem.form(F_u), **alone}, f"^F {COMPILED}"),
-        ({"J": dolfinx.fem.form(J_u)}, f"^J {COMPILED}"),
-        *(({"F": k * u[0] * v[0] * ufl.dx, **alone}, f"F {COMPLEX}") for k in complex_data(S)),
-        *(({"volume_tolerance": n}, f"{tolerance} .*: give a number") for n in (0.0, -1.0, np.nan)),
-        ({"F": psi * ufl.dx, "volume_tolerance": 1, **alone}, f"{tolerance} given, but no press"),
-    ):
-        with raises(TypeError if COMPLEX in message else ValueError, message):
-            create(body, **changes)
+class WallForms:
+    """The forms of a wall, and such as do not fit it."""
+
+    def __init__(self, body):
+        V = body.u.function_space
+        self.u = body.u
+        self.p = body.p
+        self.V = V
+        self.energy = body.energy
+        self.F_u = body.F_u
+        self.F_p = body.F_p
+        self.twin = dolfinx.fem.Function(V)
+        self.quadratic = space(body, "Lagrange", 2, (3,))
+        self.scalars = space(body, "Lagrange", 1)
+        self.one = dolfinx.fem.Constant(V.mesh, 1.0)
+        self.du = ufl.TrialFunction(V)
+        self.v = ufl.TestFunction(V)
+        self.q = ufl.TestFunction(body.p.function_space)
+        self.foreign_v = ufl.TestFunction(self.quadratic)
+        self.v_of_a_twin = ufl.TestFunction(space(body, "Lagrange", 1, (3,)))
+        self.tangent = ufl.inner(ufl.grad(self.du), ufl.grad(self.v)) * ufl.dx
+        self.psi, self.J = solid(body)
+
+    def compressible(self, kappa):
+        """Return an energy without a pressure."""
+        return (self.psi + kappa * (self.J - 1) ** 2) * ufl.dx
+
+    def jumps(self):
+        """Return a penalty on interior facets."""
+        jump = ufl.jump(ufl.grad(self.u))
+        return ufl.inner(jump, jump) * ufl.dS
+
+
+ALONE = {"condense": None}
+OTHER_SPACE = " has a test or trial function on another function space than u"
+TOLERANCE = "volume_tolerance is"
+
+#: Wrong arguments of a nonlinear problem, and the message.
+FORMS = {
+    "bilinear-F": (
+        lambda w: {"F": ufl.inner(w.du, w.v) * ufl.dx, **ALONE},
+        "F has 2 arguments: give a residual or an",
+    ),
+    "one-residual": (lambda w: {"F": w.F_u}, "F has 1 arguments: .*the pair of its residuals"),
+    "nothing-condensed": (lambda w: ALONE, "F is a sequence of 2 forms: .*condense=p"),
+    "three-residuals": (
+        lambda w: {"F": [w.F_u, w.F_p, w.F_p]},
+        "F is a sequence of 3 forms: give a residual .* and one for",
+    ),
+    "energy-as-a-residual": (
+        lambda w: {"F": [w.energy, w.F_p]},
+        "F is a sequence of 2 forms: give a residual ",
+    ),
+    "swapped-residuals": (
+        lambda w: {"F": [w.F_p, w.F_u]},
+        "residuals on other spaces: test them with v in V and q in Q",
+    ),
+    "F-of-another-space": (
+        lambda w: {"F": ufl.inner(w.u, w.foreign_v) * ufl.dx, **ALONE},
+        f"F{OTHER_SPACE}",
+    ),
+    "F-of-an-equal-space": (
+        lambda w: {"F": ufl.inner(w.u, w.v_of_a_twin) * ufl.dx, **ALONE},
+        f"F{OTHER_SPACE}",
+    ),
+    "linear-J": (lambda w: {"J": w.F_u}, "J has 1 test and trial functions, but takes 2"),
+    "J-of-another-space": (
+        lambda w: {"J": ufl.inner(ufl.TrialFunction(w.quadratic), w.foreign_v) * ufl.dx},
+        f"J{OTHER_SPACE}",
+    ),
+    "energy-without-u": (
+        lambda w: {"F": w.one * ufl.dx, **ALONE},
+        "unknown 'u' does not occur in F",
+    ),
+    "residual-without-u": (
+        lambda w: {"F": w.one * w.v[2] * ufl.dx, **ALONE},
+        "unknown 'u' does not occur in F",
+    ),
+    "jumps-of-u": (
+        lambda w: {"F": w.psi * ufl.dx + w.jumps(), **ALONE},
+        "interior-facet integrals, .*dx and ds only",
+    ),
+    "jumps-of-p": (
+        lambda w: {"F": [w.F_u, w.F_p + ufl.jump(w.p) * ufl.jump(w.q) * ufl.dS]},
+        "interior-facet integrals",
+    ),
+    "two-energies": (
+        lambda w: {"F": w.compressible(1.0), "energy": w.compressible(2.0), **ALONE},
+        "energy is not F, .*: leave energy out",
+    ),
+    "negative-degree": (lambda w: {"quadrature_degree": -1}, "degree = -1"),
+    "u-twice": (
+        lambda w: {"F": [w.F_u, w.F_u], "u": [w.u, w.u], **ALONE},
+        "u holds a Function twice",
+    ),
+    "two-unknowns": (lambda w: {"F": [w.F_u, w.F_u], "u": [w.u, w.twin], **ALONE}, f"^u {BLOCK}"),
+    "parts-of-u": (lambda w: {"u": ufl.split(w.u)[:2]}, "^u is .*: give a dolf"),
+    "number-as-an-unknown": (lambda w: {"u": [w.u, 3]}, "^u is .*: give a dolf"),
+    "text-as-u": (lambda w: {"u": "up"}, "^u is .*: give a dolf"),
+    "one-row-of-J": (lambda w: {"J": [[w.tangent, None]]}, "^J is no 2 × 2 block: .* leave J out"),
+    "empty-J": (
+        lambda w: {"J": [[None, None], [None, None]]},
+        r"^J has no block of u, J\[0\]\[0\]",
+    ),
+    "compiled-F": (lambda w: {"F": dolfinx.fem.form(w.F_u), **ALONE}, f"^F {COMPILED}"),
+    "compiled-J": (lambda w: {"J": dolfinx.fem.form(w.tangent)}, f"^J {COMPILED}"),
+    "complex-function": (
+        lambda w: {"F": complex_function(w.scalars) * w.u[0] * w.v[0] * ufl.dx, **ALONE},
+        f"F {COMPLEX}",
+    ),
+    "complex-constant": (
+        lambda w: {"F": complex_constant(w.scalars) * w.u[0] * w.v[0] * ufl.dx, **ALONE},
+        f"F {COMPLEX}",
+    ),
+    "no-tolerance": (lambda w: {"volume_tolerance": 0.0}, f"{TOLERANCE} .*: give a number"),
+    "negative-tolerance": (lambda w: {"volume_tolerance": -1.0}, f"{TOLERANCE} .*: give a number"),
+    "nan-tolerance": (lambda w: {"volume_tolerance": np.nan}, f"{TOLERANCE} .*: give a number"),
+    "tolerance-without-a-pressure": (
+        lambda w: {"F": w.psi * ufl.dx, "volume_tolerance": 1, **ALONE},
+        f"{TOLERANCE} given, but no press",
+    ),
+}
+
+
+@each(("wrong", "message"), FORMS)
+def test_forms(body, wrong, message):
+    with raises(TypeError if COMPLEX in message else ValueError, message):
+        create(body, **wrong(WallForms(body)))
 
 
 @pytest.mark.parametrize("element", [("Lagrange", 1), ("CR", 1), ("RT", 1)])
@@ -338,30 +459,43 @@ def test_space_of_the_pressure(body, element):
         create(body, condense=p)
 
 
-def test_condensed_fields(body):
-    p = body.p
-    u = body.u
+def function_elsewhere(body):
     mesh = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2)
-    elsewhere = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="q")
-    θ, absent = (dolfinx.fem.Function(p.function_space, name=name) for name in ("θ", "other"))
-    psi, _ = solid(body)
-    missing = "condense is 'other', which does not occur in the"
-    for changes, kind, message in (
-        ({"condense": [p, p]}, ValueError, r"condense\[1\] is 'p', which is the unknown or given"),
-        ({"condense": u}, ValueError, r"condense\[0\] is 'u', which is the unknown"),
-        ({"condense": [7]}, TypeError, r"condense\[0\] is 7: give a dolfinx.fem.Function"),
-        (
-            {"condense": elsewhere},
-            ValueError,
-            r"condense\[0\] is 'q' on another mesh than the unknown",
-        ),
-        ({"condense": [θ, p]}, ValueError, "F is a sequence of 2 forms: .* one for each condensed"),
-        ({"F": body.energy, "condense": absent}, ValueError, missing),
-        ({"condense": absent}, ValueError, missing),
-        ({"F": (psi + p**2) * ufl.dx}, ValueError, "K_up is zero"),
-    ):
-        with raises(kind, message):
-            create(body, **changes)
+    return dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="q")
+
+
+def other_pressure(body):
+    return dolfinx.fem.Function(body.p.function_space, name="other")
+
+
+UNUSED = "condense is 'other', which does not occur in the"
+
+#: Wrong fields to be condensed, and the message; TypeError if the field is none.
+CONDENSED = {
+    "twice": (
+        lambda b: {"condense": [b.p, b.p]},
+        r"condense\[1\] is 'p', which is the unknown or given",
+    ),
+    "unknown": (lambda b: {"condense": b.u}, r"condense\[0\] is 'u', which is the unknown"),
+    "number": (lambda b: {"condense": [7]}, r"condense\[0\] is 7: give a dolfinx.fem.Function"),
+    "another-mesh": (
+        lambda b: {"condense": function_elsewhere(b)},
+        r"condense\[0\] is 'q' on another mesh than the unknown",
+    ),
+    "too-many": (
+        lambda b: {"condense": [other_pressure(b), b.p]},
+        "F is a sequence of 2 forms: .* one for each condensed",
+    ),
+    "not-in-the-energy": (lambda b: {"F": b.energy, "condense": other_pressure(b)}, UNUSED),
+    "not-in-the-residuals": (lambda b: {"condense": other_pressure(b)}, UNUSED),
+    "not-coupled": (lambda b: {"F": (solid(b)[0] + b.p**2) * ufl.dx}, "K_up is zero"),
+}
+
+
+@each(("wrong", "message"), CONDENSED)
+def test_condensed_fields(body, wrong, message):
+    with raises(TypeError if "is 7" in message else ValueError, message):
+        create(body, **wrong(body))
 
 
 # -- what is on another mesh, or numbers another thing

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from collective import COMM, agree, equal, raises
 from pages import programs
 from ufl_values import scalar
@@ -149,32 +150,85 @@ def test_the_lines_of_the_page(tmp_path, monkeypatch):
 # -- what is refused, on all processes
 
 
-def test_wrong_arguments():
-    mesh, cell_tags, facet_tags = box()
-    other = box()[2]
-    plane = dolfinx.mesh.create_unit_square(COMM, 3, 3)
-    none = np.zeros(0, dtype=np.int32)
-    empty = dolfinx.mesh.meshtags(mesh, 2, none, none)
-    half = dolfinx.mesh.meshtags(mesh, 3, *(a[:1] for a in (cell_tags.indices, cell_tags.values)))
-    for kind, arguments, match in (
-        (TypeError, (None, cell_tags, facet_tags), "mesh is None: give dolfinx.mesh.Mesh"),
-        (TypeError, (None, None, facet_tags), "mesh is None"),
-        (TypeError, (mesh, cell_tags, None), "facet_tags is None: give dolfinx.mesh.MeshTags"),
-        (ValueError, (plane, None, facet_tags), "cells of type triangle in 2 dimensions"),
-        (ValueError, (mesh, cell_tags, other), "facet_tags belong to another mesh"),
-        (ValueError, (mesh, None, cell_tags), "cell_tags are of dimension 3 and facet_tags of 3"),
-        (
-            ValueError,
-            (mesh, facet_tags, cell_tags),
-            "dimension 2 and facet_tags of 3: give those of",
-        ),
-        (ValueError, (mesh, half, facet_tags), "cell_tags leave .* cells without a layer"),
-        (ValueError, (mesh, cell_tags, empty), "facet_tags mark no surface"),
-        (TypeError, (mesh, cell_tags, facet_tags, {"end": 4}), r"names\['end'\] is 4: give"),
-        (TypeError, (mesh, cell_tags, facet_tags, "end"), "names is 'end': give Mapping"),
-    ):
-        with raises(kind, match):
-            create_wall(*arguments)
+class TaggedBox:
+    """The box with its tags, and meshes and tags that do not fit it."""
+
+    def __init__(self):
+        self.mesh, self.cell_tags, self.facet_tags = box()
+
+    def no_facets(self):
+        none = np.zeros(0, dtype=np.int32)
+        return dolfinx.mesh.meshtags(self.mesh, 2, none, none)
+
+    def one_cell(self):
+        tags = self.cell_tags
+        return dolfinx.mesh.meshtags(self.mesh, 3, tags.indices[:1], tags.values[:1])
+
+
+def plane():
+    return dolfinx.mesh.create_unit_square(COMM, 3, 3)
+
+
+#: Wrong arguments of create_wall, the error, and its message.
+WRONG = {
+    "no-mesh": (
+        lambda b: (None, b.cell_tags, b.facet_tags),
+        TypeError,
+        "mesh is None: give dolfinx.mesh.Mesh",
+    ),
+    "facet-tags-alone": (lambda b: (None, None, b.facet_tags), TypeError, "mesh is None"),
+    "no-facet-tags": (
+        lambda b: (b.mesh, b.cell_tags, None),
+        TypeError,
+        "facet_tags is None: give dolfinx.mesh.MeshTags",
+    ),
+    "plane": (
+        lambda b: (plane(), None, b.facet_tags),
+        ValueError,
+        "cells of type triangle in 2 dimensions",
+    ),
+    "tags-of-another-mesh": (
+        lambda b: (b.mesh, b.cell_tags, box()[2]),
+        ValueError,
+        "facet_tags belong to another mesh",
+    ),
+    "cells-as-facets": (
+        lambda b: (b.mesh, None, b.cell_tags),
+        ValueError,
+        "cell_tags are of dimension 3 and facet_tags of 3",
+    ),
+    "swapped": (
+        lambda b: (b.mesh, b.facet_tags, b.cell_tags),
+        ValueError,
+        "dimension 2 and facet_tags of 3: give those of",
+    ),
+    "cells-without-a-layer": (
+        lambda b: (b.mesh, b.one_cell(), b.facet_tags),
+        ValueError,
+        "cell_tags leave .* cells without a layer",
+    ),
+    "no-surface": (
+        lambda b: (b.mesh, b.cell_tags, b.no_facets()),
+        ValueError,
+        "facet_tags mark no surface",
+    ),
+    "number-as-a-name": (
+        lambda b: (b.mesh, b.cell_tags, b.facet_tags, {"end": 4}),
+        TypeError,
+        r"names\['end'\] is 4: give",
+    ),
+    "text-as-names": (
+        lambda b: (b.mesh, b.cell_tags, b.facet_tags, "end"),
+        TypeError,
+        "names is 'end': give Mapping",
+    ),
+}
+
+
+@each(("arguments", "error", "message"), WRONG)
+def test_wrong_arguments(arguments, error, message):
+    with raises(error, message):
+        create_wall(*arguments(TaggedBox()))
 
 
 def test_loads_inside_the_wall():

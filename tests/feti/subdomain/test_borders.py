@@ -8,6 +8,7 @@ And what it gives for columns that fall into panels, against the same columns as
 
 import numpy as np
 import pytest
+from cases import each
 from collective import COMM, agree, equal, raises
 
 from dolfinx_feti.errors import FactorError
@@ -31,29 +32,42 @@ def panels(n=3, real=np.float64, integer=np.int32, **wrong):
     return Panels(load_panels(COMM), n, **{k: parts[k].astype(kinds[k]) for k in parts})
 
 
-def test_factors_of_panels_fit():
-    W = panels()
-    wide = np.eye(6)[:3, ::2]
-    for call, error in (
-        (lambda: W.premultiply(np.eye(2)), "a matrix of shape"),
-        (lambda: W.premultiply(np.eye(3)[:, :2]), "a matrix of shape"),
-        (lambda: W.premultiply(wide), "not contiguous"),
-        (lambda: W.premultiply(np.eye(3).astype(complex)), "give float32"),
-        (lambda: W.multiply_transposed(np.ones((2, 3))), "do not fit panels"),
-        (lambda: W.multiply_transposed(np.ones((3, 2)), is_symmetric=True), "do not fit panels"),
-        (lambda: rows_product(W.code, np.ones((2, 3), np.float32), np.ones(2)), "3 columns"),
-    ):
-        with raises(ValueError, error):
-            call()
-    for call in (
-        lambda: W.premultiply(np.eye(3, dtype=np.float32)),
-        lambda: W.multiply_transposed(np.ones((3, 1), dtype=np.float32)),
-        lambda: panels(real=np.float32).premultiply(np.eye(3)),
-        lambda: panels(integer=np.int64).premultiply(np.eye(3)),
-        lambda: rows_product(W.code, np.ones((2, 3), np.float32), np.ones(3, np.float32)),
-    ):
-        with raises(TypeError, "ctype"):
-            call()
+SINGLE = np.float32
+#: Products of panels with factors of a wrong shape, and the message.
+UNFIT = {
+    "premultiply-order": (lambda W: W.premultiply(np.eye(2)), "a matrix of shape"),
+    "premultiply-columns": (lambda W: W.premultiply(np.eye(3)[:, :2]), "a matrix of shape"),
+    "premultiply-strided": (lambda W: W.premultiply(np.eye(6)[:3, ::2]), "not contiguous"),
+    "premultiply-complex": (lambda W: W.premultiply(np.eye(3).astype(complex)), "give float32"),
+    "transposed-rows": (lambda W: W.multiply_transposed(np.ones((2, 3))), "do not fit panels"),
+    "transposed-symmetric": (
+        lambda W: W.multiply_transposed(np.ones((3, 2)), is_symmetric=True),
+        "do not fit panels",
+    ),
+    "rows": (lambda W: rows_product(W.code, np.ones((2, 3), SINGLE), np.ones(2)), "3 columns"),
+}
+
+
+@each(("call", "message"), UNFIT)
+def test_factors_of_panels_fit(call, message):
+    with raises(ValueError, message):
+        call(panels())
+
+
+#: The same with numbers of another type than those of the panels.
+MISTYPED = {
+    "premultiply": lambda W: W.premultiply(np.eye(3, dtype=SINGLE)),
+    "transposed": lambda W: W.multiply_transposed(np.ones((3, 1), dtype=SINGLE)),
+    "single-panels": lambda W: panels(real=SINGLE).premultiply(np.eye(3)),
+    "long-indices": lambda W: panels(integer=np.int64).premultiply(np.eye(3)),
+    "rows": lambda W: rows_product(W.code, np.ones((2, 3), SINGLE), np.ones(3, SINGLE)),
+}
+
+
+@each("call", MISTYPED)
+def test_factors_of_panels_have_their_type(call):
+    with raises(TypeError, "ctype"):
+        call(panels())
 
 
 #: A path of three nodes of one row each.
@@ -124,47 +138,68 @@ def test_arrays_that_do_not_fit(build, kind, message, wrong):
                 build(**{name: value})
 
 
-def test_fronts_take_matrices_of_their_pattern():
-    F = fronts()
+@pytest.mark.parametrize("name", ["indptr", "indices", "values"])
+def test_fronts_take_matrices_of_their_pattern(name):
     K = path()
-    work = WorkSpace()
-    (factor, _) = F.factor(K, work)
-    wide = np.ones((3, 2))
-    for wrong in (
-        K._replace(indptr=K.indptr[:-1]),
-        K._replace(indices=K.indices[:-1]),
-        K._replace(values=K.values[:-1]),
-    ):
-        with raises(FactorError, "pattern of the matrix has changed"):
-            F.factor(wrong, work)
-    for wrong in (path(np.int64), path(real=np.float32)):
-        with raises(TypeError, "ctype"):
-            F.factor(wrong, work)
+    shorter = K._replace(**{name: getattr(K, name)[:-1]})
+    with raises(FactorError, "pattern of the matrix has changed"):
+        fronts().factor(shorter, WorkSpace())
+
+
+@pytest.mark.parametrize(
+    "types", [{"integer": np.int64}, {"real": np.float32}], ids=["long", "single"]
+)
+def test_fronts_take_matrices_of_their_type(types):
+    with raises(TypeError, "ctype"):
+        fronts().factor(path(**types), WorkSpace())
+
+
+def test_fronts_take_an_addend_on_the_last_front():
     with raises(ValueError, r"addend_on_last has shape \(3, 3\)"):
-        F.factor(K, work, np.eye(3))
-    for rhs, error in ((np.ones(1), IndexError), (np.ones(3), ValueError), (wide, ValueError)):
-        with raises(error, "bounds|shape"):
-            factor.solve(rhs)
+        fronts().factor(path(), WorkSpace(), np.eye(3))
 
 
-def test_shares_have_rows_of_the_matrix():
+@pytest.mark.parametrize(
+    ("shape", "error"),
+    [((1,), IndexError), ((3,), ValueError), ((3, 2), ValueError)],
+    ids=["short", "long", "wide"],
+)
+def test_fronts_take_right_hand_sides_of_their_size(shape, error):
+    (factor, _) = fronts().factor(path(), WorkSpace())
+    with raises(error, "bounds|shape"):
+        factor.solve(np.ones(shape))
+
+
+SHARES = {
+    "row-beyond": ([0, 3], np.ones(3), "Rows 0 … 3 are not those of a matrix of order 3"),
+    "negative-row": ([-1, 2], np.ones(3), "Rows -1 … 2 are not those"),
+    "entries": ([0, 2], np.ones(4), "4 entries does not fit 2 rows"),
+    "strided": ([0, 2], np.ones(6)[::2], "not contiguous"),
+}
+
+
+@each(("rows", "entries", "message"), SHARES)
+def test_shares_have_rows_of_the_matrix(rows, entries, message):
     code = load_block_code(COMM)
     A = np.zeros((3, 3), np.float32, order="F")
     add_block(code, A, SharedBlock(np.array([0, 2], np.int32), np.arange(3.0)))
-    for rows, entries, error in (
-        ([0, 3], np.ones(3), "Rows 0 … 3 are not those of a matrix of order 3"),
-        ([-1, 2], np.ones(3), "Rows -1 … 2 are not those"),
-        ([0, 2], np.ones(4), "4 entries does not fit 2 rows"),
-        ([0, 2], np.ones(6)[::2], "not contiguous"),
-    ):
-        with raises(ValueError, error):
-            add_block(code, A, SharedBlock(np.array(rows, np.int32), entries))
+    with raises(ValueError, message):
+        add_block(code, A, SharedBlock(np.array(rows, np.int32), entries))
+
+
+def test_shares_are_added_by_columns():
+    block = SharedBlock(np.array([0], np.int32), np.ones(1))
     with raises(ValueError, "not contiguous in F order"):
-        block = SharedBlock(np.array([0], np.int32), np.ones(1))
-        add_block(code, np.zeros((3, 3), np.float32), block)
-    for matrix, integer in ((np.zeros((3, 3), order="F"), np.int32), (A, np.int64)):
-        with raises(TypeError, "ctype"):
-            add_block(code, matrix, SharedBlock(np.array([0], integer), np.ones(1)))
+        add_block(load_block_code(COMM), np.zeros((3, 3), np.float32), block)
+
+
+@pytest.mark.parametrize(
+    ("real", "integer"), [(np.float64, np.int32), (np.float32, np.int64)], ids=["double", "long"]
+)
+def test_shares_have_the_types_of_the_code(real, integer):
+    A = np.zeros((3, 3), real, order="F")
+    with raises(TypeError, "ctype"):
+        add_block(load_block_code(COMM), A, SharedBlock(np.array([0], integer), np.ones(1)))
 
 
 def test_elements_couple_subdomains_that_are_near():
