@@ -58,7 +58,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
     add("--subdomains", type=count, help="over all processes; about one for 2000 dofs")
     add("--per", type=command.several(count), default=[None], help="dofs of a subdomain")
     names = tuple(OPPONENTS)
-    add("--solvers", type=command.some_of(names), help=f"{', '.join(names)}; the first three")
+    add("--solvers", type=command.some_of(names), help=f"{', '.join(names)}; {','.join(USUAL)}")
     add("--rounds", type=count, default=1, help="in which the solvers alternate; 1")
     add("--path", type=positive, metavar="P", help="load steps to P mmHg in place of a first step")
     add("--loaded", type=positive, metavar="P", help="a step in the equilibrium at P mmHg")
@@ -78,7 +78,7 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     solvers = _solvers(args)
     if args.path is not None and args.loaded is not None:
         raise ValueError("--path and --loaded exclude each other")
-    if (args.path or args.loaded) and args.geometry not in ("tube", "vessel"):
+    if (args.path or args.loaded) and not GEOMETRIES[args.geometry].is_wall:
         raise ValueError(f"--geometry {args.geometry} goes without --path and --loaded")
     if args.path is not None and not set(solvers) <= set(path.SOLVERS):
         raise ValueError(f"--path takes no other solvers than {', '.join(path.SOLVERS)}")
@@ -125,7 +125,7 @@ def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
 
 def _step(problem: Problem, solvers: Sequence[str], comm: MPI.Comm) -> list[Record]:
     """Solve the next Newton step with each solver."""
-    ordered = {name: options for name, options in OPPONENTS.items() if name in solvers}
+    ordered = {name: opponent.options for name, opponent in OPPONENTS.items() if name in solvers}
     if "pardiso" in ordered:
         ordered["pardiso"] = {**ordered["pardiso"], "definite": True}
     begun = time.process_time()
@@ -168,7 +168,8 @@ def _create_body(case: Record, folder: Path, comm: MPI.Comm) -> bodies.Body | Li
 
 
 def _is_known(record: Record) -> bool:
-    return {"solver", "geometry", "threads", "path_mmhg", "degree"} <= record.keys()
+    is_of_study = {"solver", "geometry", "threads", "path_mmhg", "degree"} <= record.keys()
+    return is_of_study and record["solver"] in OPPONENTS and record["geometry"] in GEOMETRIES
 
 
 STUDY = Study(

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Bodies of a given energy, how they are held and loaded, and unit cubes of a given size.
+"""Bodies of a given energy, how they are held and loaded; linear bodies; meshes of a given size.
 
 The energy of a :class:`Body` is Ψ(C, J) + p (J − 1) − p²/(2κ) per unit reference volume.
 Millimetres and kPa. All functions are collective.
@@ -30,14 +30,8 @@ from dolfinx_feti.runtime.scotch import repeatable_partitions
 POISSON = 0.3
 SHEAR_MODULUS = 1.0  # kPa
 
-#: Length over thickness of the plates.
-PLATES = {"plate-20": 20.0, "plate-100": 100.0, "plate-1000": 1000.0}
-
-#: Width over length of the plates.
+#: Width over length of a plate.
 PLATE_WIDTH = 0.6
-
-#: Stiffness of the inclusions over that of the rest, by the body.
-INCLUSIONS = {"inclusions-1e4": 1e4, "inclusions-1e8": 1e8}
 
 #: Radius of an inclusion; there are three along each edge of the unit cube.
 INCLUSION_RADIUS = 0.12
@@ -136,13 +130,21 @@ def create_body(
 ) -> Body:
     """Build a body whose energy is made of C, J and the share of the load [kPa].
 
-    On the loaded facets acts a pressure that follows the surface, or a force per reference area
-    [kPa]; ``measure`` reads off u what is compared. ``tangent`` is what is taken of the
-    pressure's derivative. With ``lumen`` Newton's method knows the potential of the pressure, which
-    keeps it on the way down, in a lumen whose ends slide along an axis; of a force per area it
-    always does. A penalty ½ grip ‖∂u/∂X‖² [kPa mm] keeps the loaded surface flat, as a grip that
-    moves with the force does. ``settings`` are further arguments of the problem, ``solid`` those of
-    :func:`create_solid`.
+    Args:
+        mesh: Mesh of the body.
+        energy: Ψ(C, J, share of the load) [kPa].
+        held: Components of u, or all of them (None), that are zero, and their facets.
+        loaded: Facets under the load, sorted.
+        load: A pressure that follows the surface, or a force per reference area, (3,) [kPa].
+        measure: Returns from u the quantities that are compared.
+        grip: Factor of a penalty ½ grip ‖∂u/∂X‖² [kPa mm] that keeps the loaded surface flat.
+        degree: Of the displacement; the quadrature has twice that degree.
+        tangent: Which part of the pressure's derivative the tangent has.
+        lumen: Whether the line search uses the potential of the pressure in a lumen whose ends
+            slide along the axis. That of a force per area is always used.
+        axis: Axis of the lumen.
+        settings: Further arguments of the problem.
+        solid: Further arguments of :func:`create_solid`.
     """
     share = dolfinx.fem.Constant(mesh, 0.0)
     made = create_solid(mesh, lambda C, J: energy(C, J, share), held=held, degree=degree, **solid)
@@ -185,22 +187,31 @@ def create_body(
 
 
 def create_neo_hookean(
-    comm: MPI.Comm, faces: int, *, dofs: int, kappa: float, degree: int = 2, **settings: object
+    mesh: dolfinx.mesh.Mesh,
+    *,
+    kappa: float,
+    held: Sequence[Indices],
+    load: float | Sequence[float],
+    degree: int = 2,
+    **settings: object,
 ) -> Body:
-    """Build a cube with P_k–P0, clamped at x = 0 or on all faces but x = 1, with a load there.
+    """Build a neo-Hookean unit cube with P_k–P0 and a load on its face x = 1.
 
-    Clamped on one, it bears a pressure, else the dead load t (e_x + e_y), which adds nothing to the
-    tangent. PETSc options have the prefix ``body_``; the settings are those of the problem.
+    Args:
+        mesh: Mesh of the unit cube.
+        kappa: κ [kPa].
+        held: Facets of each clamped face.
+        load: A pressure, or a dead load (3,), at the load 1 [kPa].
+        degree: Of the displacement.
+        settings: Further arguments of the problem; PETSc options have the prefix ``body_``.
     """
-    mesh = _unit_mesh(comm, dofs, degree, 3)
-    places = [(0, 0.0), (1, 0.0), (1, 1.0), (2, 0.0), (2, 1.0)]
     return create_body(
         mesh,
         lambda C, J, _share: materials.neo_hookean(C, c=SHEAR_MODULUS, J=J),
         kappa=kappa,
-        held=[(None, plane(mesh, *place)) for place in places[:faces]],
+        held=[(None, facets) for facets in held],
         loaded=plane(mesh, 0, 1.0),
-        load=1.0 if faces == 1 else (1.0, 1.0, 0.0),
+        load=load,
         degree=degree,
         pressures=("DG", 0),
         tangent="symmetric",
@@ -208,36 +219,50 @@ def create_neo_hookean(
     )
 
 
-def create_linear(
-    comm: MPI.Comm, kind: str, *, dofs: int, degree: int, **settings: object
+def create_elastic(
+    mesh: dolfinx.mesh.Mesh,
+    *,
+    degree: int,
+    shear_modulus: float | dolfinx.fem.Function = SHEAR_MODULUS,
+    clamped: Sequence[float] = (0.0,),
+    **settings: object,
 ) -> LinearProblem:
-    """Build a compressible body in its weight, or Poisson's equation on a cube, ``heat``.
+    """Build a compressible elastic body in its weight.
 
-    A unit ``cube`` or ``square``; a unit cube with stiff :data:`INCLUSIONS`; one of the
-    :data:`PLATES`, 1 × 0.6, of one layer of hexahedra. u = 0 at x = 0, and at x = 1 in a plate.
-    PETSc options have the prefix ``body_``; the settings are those of the problem.
+    Args:
+        mesh: Mesh of the body.
+        degree: Of the displacement.
+        shear_modulus: μ [kPa]; Poisson's ratio is 0.3.
+        clamped: Places x of the planes with u = 0.
+        settings: Further arguments of the problem; PETSc options have the prefix ``body_``.
     """
-    dim = 2 if kind == "square" else 3
-    elastic = kind != "heat"
-    if kind in PLATES:
-        mesh = _plate_mesh(comm, dofs, degree, PLATES[kind])
-    else:
-        mesh = _unit_mesh(comm, dofs, degree, dim, elastic)
-    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (dim,) if elastic else ()))
+    dim = mesh.geometry.dim
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
     u = ufl.TrialFunction(V)
     v = ufl.TestFunction(V)
-    strain = ufl.sym(ufl.grad(u)) if elastic else ufl.grad(u)
-    stress = strain
-    if elastic:
-        mu = _modulus(mesh, INCLUSIONS[kind]) if kind in INCLUSIONS else SHEAR_MODULUS
-        lmbda = 2 * mu * POISSON / (1 - 2 * POISSON)
-        stress = 2 * mu * strain + lmbda * ufl.tr(strain) * ufl.Identity(dim)
-    weight = dolfinx.fem.Constant(mesh, np.eye(dim)[-1] if elastic else np.array(1.0))
-    ends = (0.0, 1.0) if kind in PLATES else (0.0,)
+    strain = ufl.sym(ufl.grad(u))
+    lmbda = 2 * shear_modulus * POISSON / (1 - 2 * POISSON)
+    stress = 2 * shear_modulus * strain + lmbda * ufl.tr(strain) * ufl.Identity(dim)
+    weight = dolfinx.fem.Constant(mesh, np.eye(dim)[-1])
     return LinearProblem(
         ufl.inner(stress, ufl.grad(v)) * ufl.dx,
         ufl.inner(weight, v) * ufl.dx,
-        bcs=[hold(V, None, plane(mesh, 0, x)) for x in ends],
+        bcs=[hold(V, None, plane(mesh, 0, x)) for x in clamped],
+        petsc_options_prefix="body_",
+        **settings,
+    )
+
+
+def create_heat(mesh: dolfinx.mesh.Mesh, *, degree: int, **settings: object) -> LinearProblem:
+    """Build Poisson's equation with a unit source and u = 0 at x = 0; see create_elastic."""
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
+    u = ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
+    source = dolfinx.fem.Constant(mesh, 1.0)
+    return LinearProblem(
+        ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx,
+        ufl.inner(source, v) * ufl.dx,
+        bcs=[hold(V, None, plane(mesh, 0, 0.0))],
         petsc_options_prefix="body_",
         **settings,
     )
@@ -277,28 +302,33 @@ def hold(
     return dolfinx.fem.dirichletbc(zero, dofs, part)
 
 
-def _plate_mesh(comm: MPI.Comm, dofs: int, degree: int, slenderness: float) -> dolfinx.mesh.Mesh:
-    """Mesh a plate of length 1 with n cells along it, for n² 0.6 degree² (degree + 1) nodes."""
+def create_plate(
+    comm: MPI.Comm, *, dofs: int, degree: int, slenderness: float
+) -> dolfinx.mesh.Mesh:
+    """Mesh a plate of one layer of hexahedra, 1 × 0.6 × 1/slenderness.
+
+    There are n cells along it, for n² 0.6 degree² (degree + 1) nodes.
+    """
     n = max(2, round((dofs / (3 * PLATE_WIDTH * degree**2 * (degree + 1))) ** 0.5))
     lengths = (1.0, PLATE_WIDTH, 1.0 / slenderness)
     return create_block(comm, lengths, (n, max(1, round(PLATE_WIDTH * n)), 1))
 
 
-def _modulus(mesh: dolfinx.mesh.Mesh, inclusions: float) -> dolfinx.fem.Function:
+def create_unit_mesh(
+    comm: MPI.Comm, *, dofs: int, degree: int, dim: int, components: int
+) -> dolfinx.mesh.Mesh:
+    """Mesh a square or cube with n simplices along an edge, for (n degree + 1)^dim nodes."""
+    n = max(1, round(((dofs / components) ** (1 / dim) - 1) / degree))
+    create = {2: dolfinx.mesh.create_unit_square, 3: dolfinx.mesh.create_unit_cube}[dim]
+    with repeatable_partitions():
+        return create(comm, *[n] * dim)
+
+
+def with_inclusions(mesh: dolfinx.mesh.Mesh, ratio: float) -> dolfinx.fem.Function:
     """Return the shear modulus of each cell [kPa], for a ratio of inclusions to the rest."""
     mu = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
     x = mu.function_space.tabulate_dof_coordinates()[: len(mu.x.array)]
     centre = (np.floor(INCLUSIONS_PER_EDGE * x) + 0.5) / INCLUSIONS_PER_EDGE
     is_stiff = np.linalg.norm(x - centre, axis=1) < INCLUSION_RADIUS
-    mu.x.array[:] = np.where(is_stiff, inclusions * SHEAR_MODULUS, SHEAR_MODULUS)
+    mu.x.array[:] = np.where(is_stiff, ratio * SHEAR_MODULUS, SHEAR_MODULUS)
     return mu
-
-
-def _unit_mesh(
-    comm: MPI.Comm, dofs: int, degree: int, dim: int, elastic: bool = True
-) -> dolfinx.mesh.Mesh:
-    """Mesh a square or cube with n cells along an edge, for (n degree + 1)^dim nodes."""
-    n = max(1, round(((dofs / (dim if elastic else 1)) ** (1 / dim) - 1) / degree))
-    create = {2: dolfinx.mesh.create_unit_square, 3: dolfinx.mesh.create_unit_cube}[dim]
-    with repeatable_partitions():
-        return create(comm, *[n] * dim)

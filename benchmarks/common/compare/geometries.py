@@ -12,7 +12,10 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from benchmarks.common.bodies import Body, create_linear, create_neo_hookean
+import dolfinx
+
+from benchmarks.common import bodies
+from benchmarks.common.bodies import Body, plane
 from benchmarks.common.walls.problem import create_clamped
 from dolfinx_feti import LinearProblem
 from dolfinx_feti.output import writable_folder
@@ -31,8 +34,11 @@ class Request:
     folder: Path  # for meshes
 
 
-#: Builds a body at rest; the mapping holds the keyword arguments of its problem. Collective.
-Create = Callable[[MPI.Comm, Request, Mapping[str, object]], Body | LinearProblem]
+#: Keyword arguments of the problem of a body.
+Settings = Mapping[str, object]
+
+#: Builds a body at rest. Collective.
+Create = Callable[[MPI.Comm, Request, Settings], Body | LinearProblem]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,12 +50,16 @@ class Geometry:
         create: Builds it at rest.
         first_load: Pressure of the first Newton step [mmHg]; None for a linear, compressible body.
         rtol: Relative tolerance of the linear systems of a compressible body.
+        family: Elements on the page: P on simplices, Q on hexahedra.
+        is_wall: Whether it can be loaded along a path, in mmHg.
     """
 
     title: str
     create: Create
     first_load: float | None = None
     rtol: float = RTOL
+    family: str = "P"
+    is_wall: bool = False
 
     @property
     def is_compressible(self) -> bool:
@@ -57,10 +67,17 @@ class Geometry:
         return self.first_load is None
 
 
-def create_wall(
-    name: str, comm: MPI.Comm, request: Request, settings: Mapping[str, object]
-) -> Body:
-    """Build a wall of a given name, clamped at its openings."""
+def create_tube(comm: MPI.Comm, request: Request, settings: Settings) -> Body:
+    """Build a two-layer tube, clamped at its ends."""
+    return _create_wall("tube", comm, request, settings)
+
+
+def create_vessel(comm: MPI.Comm, request: Request, settings: Settings) -> Body:
+    """Build a branched vessel, clamped at its openings."""
+    return _create_wall("vessel", comm, request, settings)
+
+
+def _create_wall(name: str, comm: MPI.Comm, request: Request, settings: Settings) -> Body:
     return create_clamped(
         comm,
         name,
@@ -72,42 +89,120 @@ def create_wall(
     )
 
 
-def create_cube(
-    clamped: int, comm: MPI.Comm, request: Request, settings: Mapping[str, object]
-) -> Body:
-    """Build a neo-Hookean cube with 1 or 5 clamped faces."""
-    return create_neo_hookean(
-        comm, clamped, dofs=request.dofs, degree=request.degree, kappa=request.kappa, **settings
+def create_block(comm: MPI.Comm, request: Request, settings: Settings) -> Body:
+    """Build a neo-Hookean cube, clamped on all faces but x = 1, with a dead load e_x + e_y there.
+
+    A dead load adds nothing to the tangent.
+    """
+    mesh = _unit_cube(comm, request)
+    faces = ((0, 0.0), (1, 0.0), (1, 1.0), (2, 0.0), (2, 1.0))
+    return bodies.create_neo_hookean(
+        mesh,
+        kappa=request.kappa,
+        held=[plane(mesh, axis, x) for axis, x in faces],
+        load=(1.0, 1.0, 0.0),
+        degree=request.degree,
+        **settings,
     )
 
 
-def create_compressible(
-    kind: str, comm: MPI.Comm, request: Request, settings: Mapping[str, object]
+def create_pillar(comm: MPI.Comm, request: Request, settings: Settings) -> Body:
+    """Build a neo-Hookean cube, clamped at x = 0, with a pressure at x = 1."""
+    mesh = _unit_cube(comm, request)
+    return bodies.create_neo_hookean(
+        mesh,
+        kappa=request.kappa,
+        held=[plane(mesh, 0, 0.0)],
+        load=1.0,
+        degree=request.degree,
+        **settings,
+    )
+
+
+def create_heat(comm: MPI.Comm, request: Request, settings: Settings) -> LinearProblem:
+    """Build Poisson's equation on a cube."""
+    mesh = bodies.create_unit_mesh(
+        comm, dofs=request.dofs, degree=request.degree, dim=3, components=1
+    )
+    return bodies.create_heat(mesh, degree=request.degree, **settings)
+
+
+def create_square(comm: MPI.Comm, request: Request, settings: Settings) -> LinearProblem:
+    """Build an elastic square in its weight."""
+    mesh = bodies.create_unit_mesh(
+        comm, dofs=request.dofs, degree=request.degree, dim=2, components=2
+    )
+    return bodies.create_elastic(mesh, degree=request.degree, **settings)
+
+
+def create_cube(comm: MPI.Comm, request: Request, settings: Settings) -> LinearProblem:
+    """Build an elastic cube in its weight."""
+    return bodies.create_elastic(_unit_cube(comm, request), degree=request.degree, **settings)
+
+
+def create_plate(
+    slenderness: float, comm: MPI.Comm, request: Request, settings: Settings
 ) -> LinearProblem:
-    """Build a linear body of a kind that :func:`create_linear` knows."""
-    return create_linear(comm, kind, dofs=request.dofs, degree=request.degree, **settings)
+    """Build an elastic plate in its weight, clamped at two ends; its length is 1.
+
+    Args:
+        slenderness: Length over thickness.
+        comm: Communicator.
+        request: Size and degree.
+        settings: Further arguments of the problem.
+    """
+    mesh = bodies.create_plate(
+        comm, dofs=request.dofs, degree=request.degree, slenderness=slenderness
+    )
+    return bodies.create_elastic(mesh, degree=request.degree, clamped=(0.0, 1.0), **settings)
 
 
-def _compressible(kind: str, title: str, rtol: float = RTOL) -> Geometry:
-    return Geometry(title=title, create=partial(create_compressible, kind), rtol=rtol)
+def create_inclusions(
+    ratio: float, comm: MPI.Comm, request: Request, settings: Settings
+) -> LinearProblem:
+    """Build an elastic cube in its weight, with stiff inclusions.
+
+    Args:
+        ratio: Stiffness of the inclusions over that of the rest.
+        comm: Communicator.
+        request: Size and degree.
+        settings: Further arguments of the problem.
+    """
+    mesh = _unit_cube(comm, request)
+    modulus = bodies.with_inclusions(mesh, ratio)
+    return bodies.create_elastic(mesh, degree=request.degree, shear_modulus=modulus, **settings)
+
+
+def _unit_cube(comm: MPI.Comm, request: Request) -> dolfinx.mesh.Mesh:
+    return bodies.create_unit_mesh(
+        comm, dofs=request.dofs, degree=request.degree, dim=3, components=3
+    )
 
 
 #: Bodies by name, in the order of the tables. Under more than 0.01 mmHg the tangent of the vessel's
 #: thin wall at rest is indefinite, without the tension that the pressure causes. Rounding allows no
 #: smaller tolerances than these for the last plate and the last inclusions.
 GEOMETRIES = {
-    "tube": Geometry(title="thin wall (tube)", create=partial(create_wall, "tube"), first_load=1.0),
+    "tube": Geometry(title="thin wall (tube)", create=create_tube, first_load=1.0, is_wall=True),
     "vessel": Geometry(
-        title="branched vessel", create=partial(create_wall, "vessel"), first_load=0.01
+        title="branched vessel", create=create_vessel, first_load=0.01, is_wall=True
     ),
-    "block": Geometry(title="compact block", create=partial(create_cube, 5), first_load=1.0),
-    "pillar": Geometry(title="pillar", create=partial(create_cube, 1), first_load=1.0),
-    "heat": _compressible("heat", "heat in a cube"),
-    "square": _compressible("square", "square"),
-    "cube": _compressible("cube", "cube"),
-    "plate-20": _compressible("plate-20", "plate, t/L = 1/20"),
-    "plate-100": _compressible("plate-100", "plate, t/L = 1/100"),
-    "plate-1000": _compressible("plate-1000", "plate, t/L = 1/1000", rtol=1e-5),
-    "inclusions-1e4": _compressible("inclusions-1e4", "cube, inclusions 1e4"),
-    "inclusions-1e8": _compressible("inclusions-1e8", "cube, inclusions 1e8", rtol=1e-4),
+    "block": Geometry(title="compact block", create=create_block, first_load=1.0),
+    "pillar": Geometry(title="pillar", create=create_pillar, first_load=1.0),
+    "heat": Geometry(title="heat in a cube", create=create_heat),
+    "square": Geometry(title="square", create=create_square),
+    "cube": Geometry(title="cube", create=create_cube),
+    "plate-20": Geometry(title="plate, t/L = 1/20", create=partial(create_plate, 20.0), family="Q"),
+    "plate-100": Geometry(
+        title="plate, t/L = 1/100", create=partial(create_plate, 100.0), family="Q"
+    ),
+    "plate-1000": Geometry(
+        title="plate, t/L = 1/1000", create=partial(create_plate, 1000.0), family="Q", rtol=1e-5
+    ),
+    "inclusions-1e4": Geometry(
+        title="cube, inclusions 1e4", create=partial(create_inclusions, 1e4)
+    ),
+    "inclusions-1e8": Geometry(
+        title="cube, inclusions 1e8", create=partial(create_inclusions, 1e8), rtol=1e-4
+    ),
 }

@@ -1,11 +1,15 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The solvers that the study compares FETI with, by their options of PETSc; MKL's PARDISO."""
+"""The solvers of the comparison by PETSc options, and MKL's PARDISO as a preconditioner.
+
+A new solver is an entry of :data:`OPPONENTS`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from petsc4py import PETSc
@@ -19,39 +23,78 @@ DEFINITE = 2
 SYMMETRIC = -2
 GENERAL = 11
 
-#: Options of PETSc by the name of the solver.
-OPPONENTS: dict[str, Mapping[str, object]] = {
-    **SOLVERS,
-    "feti-dual": {"feti_formulation": "dual"},
-    "mumps-blr": {
-        "pc_type": "cholesky",
-        "pc_factor_mat_solver_type": "mumps",
-        "mat_mumps_icntl_14": 50,
-        "mat_mumps_icntl_35": 2,
-        "mat_mumps_cntl_7": 1e-6,
-    },
-    "cholmod": {
-        "ksp_type": "preonly",
-        "pc_type": "cholesky",
-        "pc_factor_mat_solver_type": "cholmod",
-    },
-    "pardiso": {
-        "ksp_type": "preonly",
-        "pc_type": "python",
-        "pc_python_type": "benchmarks.common.compare.opponents.Pardiso",
-    },
-    "gamg-elasticity": {"pc_type": "gamg", "mg_levels_pc_type": "sor", "mg_levels_ksp_max_it": 2},
-    "hypre-elasticity": {
-        "pc_type": "hypre",
-        "pc_hypre_boomeramg_strong_threshold": 0.7,
-        "pc_hypre_boomeramg_coarsen_type": "HMIS",
-        "pc_hypre_boomeramg_interp_type": "ext+i",
-        "pc_hypre_boomeramg_P_max": 4,
-    },
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Opponent:
+    """A solver of the comparison, FETI included.
+
+    Args:
+        title: Name on the page.
+        options: PETSc options, without prefix.
+        is_direct: Whether it factors the assembled matrix.
+        is_torn: Whether it solves with subdomains, whose number the page shows.
+    """
+
+    title: str
+    options: Mapping[str, object]
+    is_direct: bool = False
+    is_torn: bool = False
+
+
+#: Solvers by name, in the order of the tables. A record of another one is refused.
+OPPONENTS = {
+    "feti": Opponent(title="FETI", options=SOLVERS["feti"], is_torn=True),
+    "feti-dual": Opponent(title="FETI, dual", options={"feti_formulation": "dual"}, is_torn=True),
+    "mumps": Opponent(title="MUMPS", options=SOLVERS["mumps"], is_direct=True),
+    "mumps-blr": Opponent(
+        title="MUMPS, low rank",
+        options={
+            "pc_type": "cholesky",
+            "pc_factor_mat_solver_type": "mumps",
+            "mat_mumps_icntl_14": 50,
+            "mat_mumps_icntl_35": 2,
+            "mat_mumps_cntl_7": 1e-6,
+        },
+        is_direct=True,
+    ),
+    "cholmod": Opponent(
+        title="CHOLMOD",
+        options={
+            "ksp_type": "preonly",
+            "pc_type": "cholesky",
+            "pc_factor_mat_solver_type": "cholmod",
+        },
+        is_direct=True,
+    ),
+    "pardiso": Opponent(
+        title="PARDISO",
+        options={
+            "ksp_type": "preonly",
+            "pc_type": "python",
+            "pc_python_type": "benchmarks.common.compare.opponents.Pardiso",
+        },
+        is_direct=True,
+    ),
+    "gamg": Opponent(title="GAMG", options=SOLVERS["gamg"]),
+    "gamg-elasticity": Opponent(
+        title="GAMG, SOR",
+        options={"pc_type": "gamg", "mg_levels_pc_type": "sor", "mg_levels_ksp_max_it": 2},
+    ),
+    "hypre-elasticity": Opponent(
+        title="BoomerAMG, HMIS",
+        options={
+            "pc_type": "hypre",
+            "pc_hypre_boomeramg_strong_threshold": 0.7,
+            "pc_hypre_boomeramg_coarsen_type": "HMIS",
+            "pc_hypre_boomeramg_interp_type": "ext+i",
+            "pc_hypre_boomeramg_P_max": 4,
+        },
+    ),
+    "bddc": Opponent(title="BDDC", options=SOLVERS["bddc"], is_torn=True),
 }
 
 #: Those that factor the assembled matrix.
-DIRECT = ("mumps", "mumps-blr", "cholmod", "pardiso")
+DIRECT = tuple(name for name, opponent in OPPONENTS.items() if opponent.is_direct)
 
 
 class Pardiso:

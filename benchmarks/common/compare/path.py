@@ -178,7 +178,7 @@ class _Direct(_Solves):
         x.destroy()
 
     def _create(self) -> PETSc.KSP:
-        return self.ksp or create_solver(self.K, self.solver, OPPONENTS[self.solver])
+        return self.ksp or create_solver(self.K, self.solver, OPPONENTS[self.solver].options)
 
     def destroy(self) -> None:
         """Free matrix and factors."""

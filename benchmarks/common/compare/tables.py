@@ -17,24 +17,10 @@ from pathlib import Path
 from matplotlib.ticker import EngFormatter, LogLocator, NullLocator, StrMethodFormatter
 
 from benchmarks.common.compare.geometries import GEOMETRIES
-from benchmarks.common.compare.opponents import DIRECT
+from benchmarks.common.compare.opponents import DIRECT, OPPONENTS
 from benchmarks.common.pages import Fields, groups, section
 from benchmarks.common.plots import COLOURS, Style, curve, picture
 from benchmarks.common.records import Record
-
-#: How the solvers are called, in the order of the tables.
-NAMES = {
-    "feti": "FETI",
-    "feti-dual": "FETI, dual",
-    "mumps": "MUMPS",
-    "mumps-blr": "MUMPS, low rank",
-    "cholmod": "CHOLMOD",
-    "pardiso": "PARDISO",
-    "gamg": "GAMG",
-    "gamg-elasticity": "GAMG, SOR",
-    "hypre-elasticity": "BoomerAMG, HMIS",
-    "bddc": "BDDC",
-}
 
 #: What tells the cases of a page apart, beside the layout.
 CASE = ("geometry", "degree", "kappa", "dofs", "wanted_subdomains", "path_mmhg", "loaded_mmhg")
@@ -147,7 +133,7 @@ def _best(case: Sequence[Record], *solvers: str) -> Record | None:
 def _rows(case: Sequence[Record]) -> Iterator[dict[str, object]]:
     """Yield a row for each record, with FETI's better layout over it."""
     feti = _best(case, "feti")
-    for solver in NAMES:
+    for solver in OPPONENTS:
         mine = _of_solver(case, solver)
         for record in mine:
             row = _row(record)
@@ -161,7 +147,7 @@ def _rows(case: Sequence[Record]) -> Iterator[dict[str, object]]:
 def _against_the_best(case: Sequence[Record]) -> dict[str, object] | None:
     """Return FETI's better layout and the best of all others, or None if one is not there."""
     feti = _best(case, "feti")
-    other = _best(case, *(name for name in NAMES if name != "feti"))
+    other = _best(case, *(name for name in OPPONENTS if name != "feti"))
     if feti is None or other is None:
         return None
     direct = _best(case, *DIRECT)
@@ -179,17 +165,21 @@ def seconds(record: Record) -> float:
 
 def _row(record: Record) -> dict[str, object]:
     """Return a record with names, layout and means; without results if it has failed."""
-    row = dict(record) | {"name": NAMES[str(record["solver"])], "layout": _layout(record)}
+    solver = OPPONENTS[str(record["solver"])]
+    geometry = GEOMETRIES[str(record["geometry"])]
+    row = dict(record) | {"name": solver.title, "layout": _layout(record)}
     path = record["path_mmhg"]
     loaded = record["loaded_mmhg"]
     row["load"] = "at rest" if path is None else f"path to {path:g} mmHg"
     row["load"] = row["load"] if loaded is None else f"at {loaded:g} mmHg"
-    row["element"] = f"P{record['degree']}–P0"
-    if record["geometry"] in COMPRESSIBLE:
-        kind = "Q" if str(record["geometry"]).startswith("plate") else "P"
-        row |= {"element": f"{kind}{record['degree']}", "body": COMPRESSIBLE[record["geometry"]]}
-        row |= {"load": "weight", "difference": record.get("difference_to_mumps")}
-    if record["solver"] not in ("feti", "feti-dual", "bddc"):
+    row["element"] = f"{geometry.family}{record['degree']}"
+    if geometry.is_compressible:
+        row["body"] = geometry.title
+        row["load"] = "weight"
+        row["difference"] = record.get("difference_to_mumps")
+    else:
+        row["element"] += "–P0"
+    if not solver.is_torn:
         row["subdomains"] = None
     if not record["converged"]:
         results = ("seconds_solve", "iterations", "peak_mib", "relative_residual", "spread")
@@ -212,7 +202,7 @@ def _spread(record: Record) -> str:
 def _formulations(case: Sequence[Record]) -> dict[str, object]:
     """Return FETI's two formulations and the best of all others on a compressible body."""
     best = {"primal": _best(case, "feti"), "dual": _best(case, "feti-dual")}
-    best["other"] = _best(case, *(name for name in NAMES if name not in ("feti", "feti-dual")))
+    best["other"] = _best(case, *(name for name in OPPONENTS if name not in ("feti", "feti-dual")))
     row: dict[str, object] = dict(_row(case[0]))
     for which, record in best.items():
         found = dict.fromkeys(("iterations", "spread", "peak_mib", "name"))
@@ -239,7 +229,7 @@ def _ratios(feti: Record, other: Record) -> dict[str, object]:
 def _growth(first: Sequence[Sequence[Record]]) -> Iterator[dict[str, object]]:
     """Pair the records of iterative solvers at both κ, for one solver, size and layout."""
     names = ("solver", *(name for name in CASE if name != "kappa"), "processes", "threads")
-    found = [r for case in first for solver in NAMES for r in _of_solver(case, solver)]
+    found = [r for case in first for solver in OPPONENTS for r in _of_solver(case, solver)]
     solved = [r for r in found if r["converged"] and r["kappa"] in KAPPAS]
     iterative = sorted((r for r in solved if r["solver"] not in DIRECT), key=lambda r: r["kappa"])
     for _, (low, *rest) in groups(iterative, *names):
