@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The cell kernels of this package beside FFCx's: assembly and compilation for an artery.
+"""The cell kernels of this package compared with FFCx's: assembly and compilation.
 
     python3 -m benchmarks.cell_kernels --json build/cell_kernels.json
 

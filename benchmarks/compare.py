@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""FETI beside other solvers on the same matrices.
+"""FETI compared with other solvers on the same matrices.
 
 The first Newton step of a body at rest; with --loaded P that of a body in equilibrium at P mmHg,
 under a hundredth more; or with --path P all Newton steps up to P mmHg:

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Contact with rigid tools beside closed forms: Hertz, a tube on a balloon, a ring between plates.
+r"""Contact with rigid tools and closed forms: Hertz, a tube on a balloon, a ring between plates.
 
     python3 -m benchmarks.contact --json build/contact.json
 
@@ -17,7 +17,7 @@ Tube: an incompressible neo-Hookean tube in plane strain on a cylinder of radius
           \,\mathrm{d}ρ, \qquad r^2 = ρ^2 + a^2 - A^2.
 
 Ring: closed between two plates, the work of the plates is the stored energy. Wall: a tube in three
-dimensions widened by a balloon, beside the same tube under pressure.
+dimensions widened by a balloon, compared with the same tube under pressure.
 """
 
 from __future__ import annotations

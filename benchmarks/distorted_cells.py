@@ -227,7 +227,7 @@ class _Look:
         self._expression = dolfinx.fem.Expression(J, points)
 
     def measure(self, problem: NonlinearProblem) -> Record:
-        """Return ranges, and numbers of cells, beside what the problem says itself. Collective."""
+        """Return ranges and numbers of cells, and those that the problem reports. Collective."""
         comm = self._comm
         dofmap = self._u.function_space.dofmap
         values = self._expression.eval(self._u.function_space.mesh, self._cells)

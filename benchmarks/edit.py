@@ -6,10 +6,9 @@
     python3 -m benchmarks.edit --json build/edit.json
 
 Each edit changes a number in the energy, so that no cache has its forms. Seconds are those of the
-processor, with the C compiler. A block of 960 tetrahedra (P2) is clamped on one side and pulled by
-a body force, beside dolfinx's own problem with MUMPS, and solved once more; an edit before compiles
-what all energies share. The two fields of the three-field energy are condensed; dolfinx solves for
-them.
+processor, with the C compiler. A block of 960 tetrahedra (P2) is clamped on one side, pulled by a
+body force, and solved twice, also by dolfinx's own problem with MUMPS. An edit before compiles what
+all energies share. The two fields of the three-field energy are condensed; dolfinx solves for them.
 """
 
 from __future__ import annotations

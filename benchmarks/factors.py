@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The multifrontal factorisation of this package beside MUMPS, on one subdomain.
+"""The multifrontal factorisation of this package compared with MUMPS, on one subdomain.
 
     python3 -m benchmarks.factors --json build/factors.json
 
@@ -88,7 +88,8 @@ def create_cube(cells: int) -> Cube:
     """Assemble the matrix of a unit cube with the given number of cells on an edge."""
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, cells, cells, cells)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    u = ufl.TrialFunction(V)
+    v = ufl.TestFunction(V)
     strain = ufl.sym(ufl.grad(u))
     stress = 2.0 * strain + 3.0 * ufl.tr(strain) * ufl.Identity(3)
     a = (ufl.inner(stress, ufl.sym(ufl.grad(v))) + SPRINGS * ufl.inner(u, v)) * ufl.dx
@@ -133,7 +134,16 @@ def find_fronts(cube: Cube, task: str) -> Fronts:
 
 
 def measure_multifrontal(cube: Cube, task: str, rounds: int) -> tuple[Factor, Array, Record]:
-    """Factor by fronts; return the factor, S, and times."""
+    """Factor by fronts.
+
+    Args:
+        cube: Matrix of the subdomain.
+        task: One of :data:`TASKS`.
+        rounds: Number of repetitions, of which the shortest counts.
+
+    Returns:
+        Factor of K_II, or of K if the interface is kept; S, packed, or nothing; and the times [s].
+    """
     fronts, analysis = timed(lambda: find_fronts(cube, task), rounds)
     work = WorkSpace()
 
@@ -149,7 +159,7 @@ def measure_multifrontal(cube: Cube, task: str, rounds: int) -> tuple[Factor, Ar
 
 
 def measure_mumps(cube: Cube, task: str, rounds: int) -> tuple[Factor, Array, Record]:
-    """Factor by MUMPS; return the factor, S, and times."""
+    """Factor by MUMPS; arguments and results are those of measure_multifrontal."""
     rows = cube.interior if task == "eliminate" else np.arange(cube.K.getSize()[0], dtype=np.int32)
     options = FactorOptions(DirectOptions("factors_"), True, RIGHT_HAND_SIDES[task])
 

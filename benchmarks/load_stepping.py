@@ -40,7 +40,7 @@ from dolfinx_feti.output import cell_values, writable_folder
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.collective import on_root
 
-#: The points, and what tells one wall with its solver from another.
+#: The points, and the keys of a wall with its solver.
 NAMES = "ABCDE"
 RUN = ("geometry", "size", "degree", "subdomains", "type")
 

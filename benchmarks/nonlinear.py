@@ -7,7 +7,7 @@
 
 Both variants, three preconditioners and κ = 10, 100, 1000 kPa, with the paper's choices and with
 the package's own (section *Arterial model on a realistic mesh geometry*). A wall of one layer
-stands for the paper's aorta, one of two layers, at the highest κ, for its carotid artery. There
+represents the paper's aorta, one of two layers, at the highest κ, its carotid artery. There
 are also decompositions in which one subdomain touches the clamped rim in three points, or not at
 all. The options choose among the cases; on the vessel these are what takes less than two hours.
 A case that fails is recorded with the reason.
@@ -48,7 +48,7 @@ KAPPA = (10, 100, 1000)
 #: Edges [mm], subdomains and load [mmHg]: a thin wall at rest would buckle under 1 mmHg.
 WALLS = {"tube": (0.3, 8, 1.0), "vessel": (1.19, 64, 0.2)}
 
-#: What tells cases apart, and sets of values: all combinations, with all choices and types.
+#: Keys that distinguish cases, and sets of values: all combinations, with all choices and types.
 NAMES = ("geometry", "degree", "layers", "contact", "kappa", "pc", "choices", "type")
 SETS = (
     (["tube"], [1, 2], [1], ["whole"], KAPPA, PRECONDITIONERS),
@@ -63,7 +63,7 @@ SETS = (
 #: Most Newton steps: with the paper's tangent as many as it took at least.
 NEWTON_STEPS = {"paper": 4, "default": 20}
 
-#: What a mesh and its decomposition are told by.
+#: Keys of a mesh and its decomposition.
 WALL = ("geometry", "size", "degree", "layers", "subdomains", "processes", "pressure")
 
 

@@ -12,9 +12,8 @@ at most as many as there are cores. --count are counted, any number on any machi
 neighbours, reductions and coarse solves of an iteration and of a set-up. ``--predict DOFS
 PROCESSES`` runs nothing: it prints what the model makes of the records.
 
-Each number of processes is a program of its own, which this one starts with mpirun: a case that
-fails takes no other one along, and the library that counts is in no run that is measured. Do not
-run this with mpirun.
+For each number of processes a separate program is started with mpirun: a case that fails does not
+end the others, and measured runs do not load the library that counts. Do not run this with mpirun.
 """
 
 from __future__ import annotations
@@ -81,7 +80,7 @@ CLUSTER = {name: unit * getattr(model, name.upper()) for name, unit in UNITS.ite
 
 STYLES = {"local": {"color": COLOURS[2]}, "krylov": {"color": COLOURS[0]}, "total": {"color": "k"}}
 
-#: Processes that the model is asked for, beyond the paper's.
+#: Number of processes that the model predicts, beyond the paper's.
 FURTHER = 10_000
 
 #: Columns of a prediction.
@@ -173,8 +172,8 @@ def predict(records: Sequence[Record], dofs: int, processes: int) -> Iterator[st
         numbers.append(efficiency(first, there["total"], processes, here["total"]))
         its = sum(base["linear_iterations_per_newton"])
         steps = base["newton_iterations"]
-        told = f"{names['kind']}, {names['chosen']}: {steps} Newton steps, {its} iterations"
-        yield " ".join(f"{number:8.3g}" for number in numbers) + f"  {told}"
+        case = f"{names['kind']}, {names['chosen']}: {steps} Newton steps, {its} iterations"
+        yield " ".join(f"{number:8.3g}" for number in numbers) + f"  {case}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -93,10 +93,17 @@ def create_solid(
     pressures: tuple[str, int] = ("DPC", 1),
     G: Expr | None = None,
 ) -> Solid:
-    """Build a body without loads of Ψ(C, J) [kPa] and κ [kPa].
+    """Build a body without loads.
 
-    Each component of u has an element, or else P_k or Q_k; the quadrature is of degree 2 k. G is
-    the part of the deformation without energy, det G = 1.
+    Args:
+        mesh: Mesh of the body.
+        energy: Ψ(C, J) [kPa].
+        kappa: κ [kPa].
+        held: Components of u, or all of them (None), that are zero, and their facets.
+        degree: k of P_k or Q_k; the quadrature has the degree 2 k.
+        element: Element of each component of u, in place of P_k or Q_k.
+        pressures: Family and degree of the pressure.
+        G: Part of the deformation without energy, det G = 1; I if not given.
     """
     element = element or basix.ufl.element("Lagrange", mesh.basix_cell(), degree)
     V = dolfinx.fem.functionspace(mesh, basix.ufl.blocked_element(element, shape=(3,)))
@@ -295,7 +302,7 @@ def displacement(u: dolfinx.fem.Function, point: Sequence[float]) -> Array:
 def hold(
     V: dolfinx.fem.FunctionSpace, component: int | None, facets: Indices
 ) -> dolfinx.fem.DirichletBC:
-    """Return the condition that a function, or a component of it, is zero on facets."""
+    """Return the condition that a function of V, or one of its components, is zero on facets."""
     part = V if component is None else V.sub(component)
     dofs = dolfinx.fem.locate_dofs_topological(part, V.mesh.topology.dim - 1, facets)
     zero = np.zeros(V.value_shape if component is None else ())
@@ -308,6 +315,12 @@ def create_plate(
     """Mesh a plate of one layer of hexahedra, 1 × 0.6 × 1/slenderness.
 
     There are n cells along it, for n² 0.6 degree² (degree + 1) nodes.
+
+    Args:
+        comm: Communicator.
+        dofs: Approximate number of displacement dofs.
+        degree: Degree of the displacement.
+        slenderness: Length over thickness.
     """
     n = max(2, round((dofs / (3 * PLATE_WIDTH * degree**2 * (degree + 1))) ** 0.5))
     lengths = (1.0, PLATE_WIDTH, 1.0 / slenderness)
@@ -317,7 +330,15 @@ def create_plate(
 def create_unit_mesh(
     comm: MPI.Comm, *, dofs: int, degree: int, dim: int, components: int
 ) -> dolfinx.mesh.Mesh:
-    """Mesh a square or cube with n simplices along an edge, for (n degree + 1)^dim nodes."""
+    """Mesh a square or cube with n simplices along an edge, for (n degree + 1)^dim nodes.
+
+    Args:
+        comm: Communicator.
+        dofs: Approximate number of dofs.
+        degree: Degree of the unknown.
+        dim: 2 or 3.
+        components: Dofs of a node.
+    """
     n = max(1, round(((dofs / components) ** (1 / dim) - 1) / degree))
     create = {2: dolfinx.mesh.create_unit_square, 3: dolfinx.mesh.create_unit_cube}[dim]
     with repeatable_partitions():

@@ -20,7 +20,14 @@ Then = Callable[[PETSc.KSP, PETSc.Vec, PETSc.Vec], object]
 
 
 def event_clock(names: Sequence[str], comm: MPI.Comm) -> Callable[[], dict[str, float]]:
-    """Return what tells the seconds of PETSc's log events from here on, of the slowest process."""
+    """Return a function that returns the seconds of PETSc's log events from now on.
+
+    Both are collective.
+
+    Args:
+        names: Names of the events.
+        comm: Communicator; the seconds are those of its slowest process.
+    """
     PETSc.Log.begin()
     begun = np.array(seconds_of(names))
 

@@ -18,7 +18,13 @@ from dolfinx_feti.runtime.collective import on_root
 
 
 def add_choices(parser: argparse.ArgumentParser, name: str, choices: Sequence[object]) -> None:
-    """Add an option for one or more of the choices; the default is all of them."""
+    """Add an option for one or more of the choices.
+
+    Args:
+        parser: Takes the option.
+        name: Of the option, ``--name``.
+        choices: Possible values; the default is all of them.
+    """
     values = ",".join(map(str, choices))
     parser.add_argument(name, type=some_of(choices), default=list(choices), help=values)
 

@@ -27,9 +27,15 @@ def create_newton(
     *,
     rtol: float = 1e-9,
 ) -> Callable[[], object]:
-    """Return what solves F(u) = 0 from the state in u; its class is another one from 0.10 on.
+    """Return a function that solves F(u) = 0, by the class of this version of dolfinx. Collective.
 
-    It raises a RuntimeError or a PETSc.Error where Newton's method does not converge. Collective.
+    It raises a RuntimeError or a PETSc.Error if Newton's method does not converge.
+
+    Args:
+        F: Residual.
+        u: Unknown, which has the first guess.
+        bcs: Dirichlet conditions.
+        rtol: Relative tolerance of the residual.
     """
     own = dolfinx.fem.petsc.NonlinearProblem
     if hasattr(dolfinx.fem.petsc, "NewtonSolverNonlinearProblem"):

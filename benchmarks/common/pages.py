@@ -3,10 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Pages of studies: templates in Markdown, filled with values from records.
 
-Fields are those of :meth:`str.format`, ``{kappa:g}`` or ``{times[local]:.2f}``; beside its formats
-there are those of :data:`FORMS`, and what is not known is shown as a dash. A line that ends in
-``<!-- rows -->`` is written once for each entry of the field ``rows``, whose own values come before
-the page's. A heading that ends so stands for its section, up to the next heading of its level::
+Fields are those of :meth:`str.format`, ``{kappa:g}`` or ``{times[local]:.2f}``; in addition
+to its formats there are those of :data:`FORMS`, and unknown values are shown as a dash. A line that
+ends in ``<!-- rows -->`` is written once for each entry of the field ``rows``, whose values take
+precedence over the page's. A heading that ends so marks its section, up to the next heading of its
+level::
 
     ## Solvers on the {body} <!-- bodies -->
 

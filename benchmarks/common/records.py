@@ -118,7 +118,13 @@ def commit() -> str | None:
 
 
 def read_records(path: Path, known: Known, writer: str, *, empty: bool = False) -> list[Record]:
-    """Read the records of a study, for which ``known`` returns True.
+    """Read the records of a study.
+
+    Args:
+        path: JSON file.
+        known: Returns True for a record of the study.
+        writer: Name of the study, for the message.
+        empty: Whether the file may be empty.
 
     Raises:
         OSError: The file cannot be read.

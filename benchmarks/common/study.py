@@ -155,7 +155,15 @@ class Study:
 def keep_record(
     records: Records, comm: MPI.Comm, case: Record, key: Record, values: Record
 ) -> Record:
-    """Write and print the record of a case; see :data:`Keep` for the last two. Collective."""
+    """Write and print the record of a case. Collective.
+
+    Args:
+        records: Records of the study.
+        comm: Communicator.
+        case: Key of the case.
+        key: Further entries of the record's key, such as the pressure.
+        values: Measured values.
+    """
     record = records.keep(case | key, values)
     say(json.dumps(record, ensure_ascii=False), comm)
     return record

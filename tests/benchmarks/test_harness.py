@@ -62,12 +62,12 @@ class Broken(io.StringIO):
     """A stream that takes nothing: a full disk behind it, or a terminal that is gone."""
 
     def write(self, _text: str) -> int:
-        raise BrokenPipeError("nobody reads this")
+        raise BrokenPipeError("the reader has gone")
 
 
 def test_line_that_cannot_be_printed_ends_all_processes():
     """The first process alone prints."""
-    with raises(BrokenPipeError, "nobody reads this"):
+    with raises(BrokenPipeError, "the reader has gone"):
         command.say("a line", COMM, Broken())
 
 
@@ -151,7 +151,7 @@ def test_study_runs_what_its_file_lacks(tmp_path, capsys):
 
 
 def test_study_goes_on_after_a_case_that_fails(tmp_path, capsys):
-    """Its exit status tells; what was found before and after is in the file."""
+    """The exit status is 1; records before and after the failure are in the file."""
     file = COMM.bcast(str(tmp_path / "squares.json"))
 
     def run(case, keep, *_rest) -> None:
@@ -197,7 +197,7 @@ def test_file_of_something_else_is_refused(tmp_path, capsys, text, page):
     [
         (compare, "--kappa 0", "argument --kappa: '0' is not a positive number"),
         (compare, "--dofs 1e5", "argument --dofs: '1e5' is not a number 1, 2, 3"),
-        (compare, "--solvers feti,umfpack", "--solvers: 'umfpack' is none of: feti, mumps"),
+        (compare, "--solvers feti,umfpack", "--solvers: 'umfpack' is none of: feti, feti-dual"),
         (compare, "--loaded 1 --path 1", "--path and --loaded exclude each other"),
         (compare, "--path 1 --solvers feti,gamg", "--path takes no other solvers than feti, mum"),
         (compare, "--path 1 --solvers mumps", "--path needs feti among the --solvers"),

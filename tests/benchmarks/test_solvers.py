@@ -197,7 +197,7 @@ def test_a_record_without_a_title_is_refused(field, tmp_path):
 
 
 def test_records_of_other_threads_and_solvers_are_run(tmp_path, monkeypatch):
-    """What tells cases apart: κ, threads; and a solver that is not there yet."""
+    """κ and threads distinguish cases; a solver without a record is run."""
     path = COMM.bcast(str(tmp_path / "compare.json"))
     words = [*SMALL, "--solvers", "gamg", "--kappa", "10", "--json", path]
     first = main(words)
@@ -245,7 +245,7 @@ def test_everybody_solves_the_next_newton_step(degree):
 
 @pytest.mark.serial
 def test_pardiso(monkeypatch):
-    """By a module of its name; the note says what one without MKL says."""
+    """With a module of its name; without MKL the note has its error."""
     module = types.ModuleType("pypardiso")
     module.__spec__ = importlib.machinery.ModuleSpec("pypardiso", None)
     monkeypatch.setitem(sys.modules, "pypardiso", module)

@@ -59,7 +59,7 @@ def equal(actual: npt.ArrayLike, expected: npt.ArrayLike, tolerance: float = 0.0
     Args:
         actual: Array of any shape.
         expected: Array of the same shape; its largest entry scales the tolerance.
-        tolerance: Largest difference relative to that entry; 0 asks for equal numbers.
+        tolerance: Largest difference relative to that entry; with 0 they are equal.
     """
     __tracebackhide__ = True
     actual = np.asarray(actual, dtype=float)

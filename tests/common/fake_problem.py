@@ -53,7 +53,7 @@ def truth(t: float) -> tuple[float, float]:
 class FakeProblem:
     """A problem with known equilibria, u and p of :func:`truth`.
 
-    A solve takes as many Newton steps as it is told, or fails and leaves nonsense behind.
+    A solve takes as many Newton steps as ``cost`` returns, or fails and leaves nonsense behind.
     """
 
     def __init__(

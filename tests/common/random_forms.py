@@ -62,7 +62,7 @@ def bent(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.Mesh:
 
 
 class Grammar:
-    """Draws a form, of rank 0, 1 or 2, of arguments in V; ``text`` tells what has been drawn."""
+    """Draws a form, of rank 0, 1 or 2, of arguments in V; ``text`` lists the choices."""
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
@@ -72,7 +72,7 @@ class Grammar:
         self.mesh, *self.data = body(cell, is_curved)
         self.cell = cell
         self.gdim = self.mesh.geometry.dim
-        self.text = [f"seed {seed}", cell + " curved" * is_curved]
+        self.text = [f"seed {seed}", f"curved {cell}" if is_curved else cell]
         self.degree: int | None = None  # of quadrature elements
         self.V = dolfinx.fem.functionspace(self.mesh, self.unknown())
         # UFL's estimate may need a hundred thousand points
@@ -149,7 +149,7 @@ class Grammar:
         return basix.ufl.mixed_element(parts)
 
     def function(self, e: object) -> dolfinx.fem.Function:
-        """A Function with numbers that its global dofs tell."""
+        """A Function whose values depend on the global numbers of its dofs."""
         f = dolfinx.fem.Function(dolfinx.fem.functionspace(self.mesh, e))
         dofmap = f.function_space.dofmap
         bs = dofmap.index_map_bs

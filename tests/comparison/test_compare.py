@@ -401,7 +401,7 @@ def test_timed_solver_is_kept(torn_grid):
 def test_peak_counts_what_was_given_back():
     """Over all processes, and of the second only its own."""
     if not all(COMM.allgather(math.isfinite(PeakMemory().mib_above_start(COMM)))):
-        pytest.skip("/proc/self does not tell")
+        pytest.skip("/proc/self has no peak")
     everybody = range(COMM.size)
     last = [COMM.size - 1]
     for mib, ranks in ((48, everybody), (24, last), (0, [])):
@@ -415,7 +415,7 @@ def test_peak_counts_what_was_given_back():
 
 @pytest.mark.parametrize("is_known", [False, True])
 def test_peak_where_the_mark_stays(monkeypatch, tmp_path, is_known):
-    """The peak of the whole run, where the system tells it, says nothing about a solver."""
+    """The peak of the whole run, if the system has it, is not that of a solver."""
     if COMM.rank == 0 and is_known:
         (tmp_path / "clear_refs").mkdir()
         (tmp_path / "status").write_text("Name:\tpython3\nVmHWM:\t 2048 kB\nVmRSS:\t 1024 kB\n")

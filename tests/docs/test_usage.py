@@ -169,7 +169,7 @@ def failing_once(problem: Any, tried: list[np.ndarray]) -> None:
     def fail_once(**arguments):
         tried.append(problem.internal_variables[0].x.array.copy())
         if len(tried) == 3:
-            raise ConvergenceError("told to fail")
+            raise ConvergenceError("fails on purpose")
         return solve(**arguments)
 
     problem.solve = fail_once

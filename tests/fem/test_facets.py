@@ -190,7 +190,7 @@ def test_a_strip_with_one_side():
 
 
 def test_a_surface_in_a_mesh_that_is_one():
-    """Its normals do not tell the sides; cells do."""
+    """The sides follow from cells, not from normals."""
     solid = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2)
     bottom = dolfinx.mesh.locate_entities_boundary(solid, 2, lambda x: np.isclose(x[2], 0.0))
     mesh = dolfinx.mesh.create_submesh(solid, 2, bottom)[0]

@@ -304,7 +304,7 @@ def test_symmetry_is_looked_at_after_a_failed_set_up(torn_grid, create_ksp, life
 
 @pytest.mark.parametrize("before", [False, True])
 def test_a_tolerance_set_by_hand_stays(before, torn_grid, lifetime):
-    """Before the type, PETSc's default 1e-5 cannot be told from the same number set by hand."""
+    """Set before the type, PETSc's default 1e-5 looks like the same number set by hand."""
     ksp = lifetime.own(PETSc.KSP().create(COMM))
     ksp.setOperators(torn_grid((2,), (2,)).A)
     if before:

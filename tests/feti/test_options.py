@@ -220,7 +220,7 @@ def test_problems_share_the_command_line_and_no_options():
     equal(whole(owned(first.u)), whole(owned(second.u)), 1e-6)
 
 
-# -- options that nothing reads, and arguments that nobody takes
+# -- options that nothing reads, and arguments that do not exist
 
 
 def diffusion(*, nonlinear, **options):

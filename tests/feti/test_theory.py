@@ -48,7 +48,7 @@ def spectrum(create_ksp, problem, load=1.0, **options):
 def eigenvalues(formulation):
     """Eigenvalues of P M Pᵀ F on the balanced multipliers modulo the kernel of Bᵀ, dense.
 
-    Where Q has M in it, it stands for M.
+    If Q contains M, M is the preconditioner plus Q's diagonal part.
     """
     F = matrix_of_map(formulation.system.flexibility, formulation.system.m)
     M = matrix_of_map(lambda r: formulation.preconditioner.apply(r)[0], formulation.system.m)

@@ -95,7 +95,7 @@ def test_common(create, name, wrong, message):
 
 
 def test_arguments_that_do_not_exist():
-    """What the two classes tell their base class is none of the user's."""
+    """Arguments of the base class are not those of the two problems."""
     body = poisson(cube(2, 4))
     for create, more in ((linear, ("quadrature_degree", "volume_ratio")), (nonlinear, ())):
         for name in ("bad", "name", "forms", *more):

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What a problem tells of itself, and the advice that follows from it."""
+"""The figures that a problem reports, and the advice that follows from them."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_without_a_load():
 
 
 def test_solve_that_fails():
-    """Nothing was built; the message tells why."""
+    """Nothing was built; the message has the reason."""
     found = torn(elasticity(cube(3, 3), clamped=None), 4).diagnose()
     agree(found.report is None and found.advice == () and found.figures is None)
     agree("singular" in found.message and "singular" in str(found))

@@ -180,8 +180,8 @@ def test_long_compilations_are_told(write, monkeypatch, caplog):
         caplog.clear()
         flags = (f"-DPATIENCE={patience}",)
         native.load(source, "int slow(void);", COMM, flags=flags, cache=folder)
-        told = [m for m in caplog.messages if "slow.c" in m and str(folder) in m]
-        agree(len(told) == (lines if COMM.rank == 0 else 0), caplog.messages)
+        announced = [m for m in caplog.messages if "slow.c" in m and str(folder) in m]
+        agree(len(announced) == (lines if COMM.rank == 0 else 0), caplog.messages)
 
 
 def test_addresses_of_blas_and_lapack():

@@ -121,7 +121,7 @@ def test_parameter_on_its_bound_has_no_interval():
 
 
 def test_data_that_do_not_determine_a_parameter():
-    """Simple shear of rubber tells c₁₀ + c₀₁ only."""
+    """Simple shear of rubber determines c₁₀ + c₀₁ only."""
     data = [measured(mooney_rivlin, RUBBER, simple_shear(STRETCH - 1), noise=0.01)]
     found = fit(mooney_rivlin, data, {"c10": 1.0, "c01": 1.0}, jit_options=JIT)
     assert sum(found.values.values()) == pytest.approx(2.5, rel=0.05)

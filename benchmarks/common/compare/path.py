@@ -53,7 +53,14 @@ def load(
     checkpoint: Checkpoint | None = None,
     on_step: Callable[[LoadStep], object] = lambda _step: None,
 ) -> None:
-    """Load a wall at rest [mmHg], or go on from a checkpoint. Collective."""
+    """Load a wall at rest, or continue from a checkpoint. Collective.
+
+    Args:
+        body: The wall.
+        mmhg: Pressure at the end of the path [mmHg].
+        checkpoint: Where states are kept; None for none.
+        on_step: Called after each load step.
+    """
     first = FIRST * mmhg
     steps = Steps(first, least=first / 64, growth=1.15, quick=4, rtol=RTOL, linear_rtol=LINEAR_RTOL)
     body.inflate([mmhg], steps, on_step=on_step, checkpoint=checkpoint, unit="mmHg")
@@ -68,16 +75,16 @@ def follow(body: Body, mmhg: float, *, direct: Sequence[str] = ()) -> list[Recor
     comm = body.u.function_space.mesh.comm
     others = [_Direct(name) for name in direct]
     feti = _Solves("feti")
-    beside = 0.0
+    seconds_of_others = 0.0
     watch = Stopwatch(comm)
 
     def then(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        nonlocal beside
+        nonlocal seconds_of_others
         begun = time.perf_counter()
         feti.iterations.append(ksp.getIterationNumber())
         for other in others:
             other.solve(body.problem.A, b, x)
-        beside += time.perf_counter() - begun
+        seconds_of_others += time.perf_counter() - begun
 
     watch.hook(body.problem.solver.getKSP(), then)
     accepted: list[LoadStep] = []
@@ -87,7 +94,7 @@ def follow(body: Body, mmhg: float, *, direct: Sequence[str] = ()) -> list[Recor
         load(body, mmhg, on_step=accepted.append)
     except ConvergenceError as error:
         note = f"failed: {error_message(error)}"
-    seconds = comm.allreduce(time.perf_counter() - begun - beside, op=MPI.MAX)
+    seconds = comm.allreduce(time.perf_counter() - begun - seconds_of_others, op=MPI.MAX)
     newton = [step for load_step in accepted for step in load_step.all_steps]
     feti.seconds = watch.each().tolist()
     feti.residuals = [step.linear_residual for step in newton]
@@ -113,7 +120,13 @@ class _Solves:
     note: str = ""  # why it failed
 
     def record(self, newton: int, rest: float, note: str) -> Record:
-        """Return its record, with the seconds and the note of all else on the path."""
+        """Return the record of this solver.
+
+        Args:
+            newton: Number of Newton steps on the path.
+            rest: Seconds of the path without linear solves.
+            note: Why the path ended early; empty if it did not.
+        """
         note = self.note or note
         setup, solve = np.reshape(self.seconds, (-1, 2)).T
         later = (setup + solve)[1:].sum()
@@ -143,7 +156,13 @@ class _Direct(_Solves):
     ksp: PETSc.KSP | None = None
 
     def solve(self, A: PETSc.Mat, b: PETSc.Vec, x_feti: PETSc.Vec) -> None:
-        """Solve the assembled counterpart of a torn system, unless it has failed. Collective."""
+        """Solve the assembled counterpart of a torn system, unless this solver failed. Collective.
+
+        Args:
+            A: Torn matrix.
+            b: Right-hand side.
+            x_feti: FETI's solution, with which this one is compared.
+        """
         if self.note:
             return
         local = A.getISLocalMat()

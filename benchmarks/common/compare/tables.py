@@ -22,7 +22,7 @@ from benchmarks.common.pages import Fields, groups, section
 from benchmarks.common.plots import COLOURS, Style, curve, picture
 from benchmarks.common.records import Record
 
-#: What tells the cases of a page apart, beside the layout.
+#: Keys that distinguish the cases of a page, in addition to the layout.
 CASE = ("geometry", "degree", "kappa", "dofs", "wanted_subdomains", "path_mmhg", "loaded_mmhg")
 
 #: Volume stiffness at the ends of the comparison [kPa].
@@ -38,7 +38,7 @@ ORDER = {name: place for place, name in enumerate(GEOMETRIES)}
 
 KAPPA = 1000.0
 
-#: What a plain first step of the package's own choice has none of.
+#: Keys that are None in a first step with the package's defaults.
 SPECIAL = ("loaded_mmhg", "path_mmhg", "wanted_subdomains", "per")
 
 #: Bodies of the figure.
@@ -270,7 +270,13 @@ def _subdomains(records: Sequence[Record]) -> list[dict[str, object]]:
 def points(
     records: Sequence[Record], geometry: str, solvers: Sequence[str]
 ) -> list[tuple[float, float]]:
-    """Return dofs and seconds of the fastest of some solvers on a body, by size."""
+    """Return dofs and seconds of the fastest of some solvers on a body, by size.
+
+    Args:
+        records: Records of the study.
+        geometry: Name of the body.
+        solvers: Names of the solvers.
+    """
     case = {"geometry": geometry, "kappa": KAPPA, "degree": 2, "converged": True}
     plain = [r for r in records if case.items() <= r.items() and r["solver"] in solvers]
     found = groups((r for r in plain if not any(r.get(name) for name in SPECIAL)), "dofs")

@@ -188,5 +188,12 @@ def create_model(measured: Sequence[Record], counted: Sequence[Record]) -> Model
 
 
 def efficiency(first: int, seconds_first: float, processes: int, seconds: float) -> float:
-    """Return eff = I t_I / (P t_P)."""
+    """Return eff = I t_I / (P t_P).
+
+    Args:
+        first: I, the fewest processes.
+        seconds_first: t_I, seconds on them.
+        processes: P.
+        seconds: t_P.
+    """
     return first * seconds_first / (processes * seconds)

@@ -211,7 +211,14 @@ OPENED = {
 def create_stressed_tube(
     comm: MPI.Comm, *, size: float, subdomains: int = 4, by_shape: bool = False
 ) -> Body:
-    """Build a quarter of the tube, with bricks of a size [mm]; G at each point, or of its shape."""
+    """Build a quarter of the tube with residual stress.
+
+    Args:
+        comm: Communicator.
+        size: Length of the bricks [mm].
+        subdomains: Their number, over all processes.
+        by_shape: Whether G follows from the wall's shape, or is exact at each point.
+    """
     element = "q2-p1d"
     kappa = 1e5
     wall = create_slice(comm, size=size, element=element)

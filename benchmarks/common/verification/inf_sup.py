@@ -42,7 +42,7 @@ from dolfinx_feti.runtime.collective import on_root
 NOTHING = 1e-10
 
 #: Pairs by name: how they are called, their cell, the degree of each component of v or the bubbles
-#: that it has beside P2, and the element of q.
+#: that it has in addition to P2, and the element of q.
 PAIRS = {
     "p1-p0": ("P1–P0", "tetrahedron", 1, ("DG", 0)),
     "p2-p0": ("P2–P0", "tetrahedron", 2, ("DG", 0)),

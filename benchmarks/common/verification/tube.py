@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The inflated tube against its semi-analytical solution at the same κ.
 
-A record for each pressure: radius, thickness, volume and stress beside the truth, and what it took
-to get there from rest, failed attempts included.
+A record for each pressure has radius, thickness, volume and stress with their exact values, and the
+cost of the path from rest, failed attempts included.
 """
 
 from __future__ import annotations

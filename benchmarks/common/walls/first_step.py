@@ -26,7 +26,7 @@ from dolfinx_feti.runtime.arrays import Indices
 from dolfinx_feti.wall import Wall, facets, openings
 from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame
 
-#: What cases are told by, and their names on pages.
+#: Keys of cases, and their names on pages.
 TYPES = {"all_floating": "all-floating", "classical": "classical"}
 PRECONDITIONERS = ("identity", "lumped", "dirichlet")
 CHOICES = {"paper": "the paper's choices", "default": "the package's defaults"}
@@ -89,7 +89,13 @@ def sizes(body: Body) -> Record:
 
 
 def load(body: Body, mmhg: float, *, in_part: bool) -> None:
-    """Load a wall at rest [mmHg], or by the Newton steps that the options allow. Collective."""
+    """Load a wall at rest. Collective.
+
+    Args:
+        body: The wall.
+        mmhg: Pressure [mmHg].
+        in_part: Whether it is enough to take all Newton steps that the options allow.
+    """
     at_rest = body.problem.linearise()
     body.load.value = loads.mmhg(mmhg)
     try:

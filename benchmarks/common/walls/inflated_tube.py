@@ -80,7 +80,7 @@ class InflatedTube:
     patches: Patches | None  # where the stress is recovered, layer by layer; not where it need not
     points: Array  # of the quadrature in the reference cell, (points, 3)
     radii: Array  # of the quadrature points in the owned cells [mm], (cells, points)
-    weights: Array  # volume that each of these points stands for [mm³], (cells, points)
+    weights: Array  # volume of each of these points [mm³], (cells, points)
     layer: Numbers  # 0 for the cells of the media, 1 for the others, (cells,)
 
     @property
@@ -122,7 +122,13 @@ class InflatedTube:
         }
 
     def stress_errors(self, truth: Tube, stress: Expr, name: str) -> dict[str, float]:
-        """Return the errors of σ_rr and σ_θθ [kPa] in the L2 norm, relative. Collective."""
+        """Return the relative errors of σ_rr and σ_θθ in the L2 norm. Collective.
+
+        Args:
+            truth: The exact solution.
+            stress: Cauchy stress [kPa], (3, 3).
+            name: Beginning of the keys of both errors.
+        """
         errors = {}
         exact = _stresses(truth, self.radii, self.layer)
         for ending, e, there in zip(("rr", "tt"), self.frame, exact, strict=True):

@@ -55,9 +55,17 @@ def create_wall_problem(
 ) -> Body:
     """Tear a wall at rest, with a pressure in its lumen. Collective.
 
-    Its defaults are the paper's stiffness of the matrix material c [kPa], fibres by Laplace
-    problems, and clamped rims of all openings. With a ``volume_tolerance`` on |mean J − 1| of each
-    cell there are multipliers in place of a large κ. Further arguments are ``create_body``'s.
+    Args:
+        wall: Mesh and tags.
+        subdomains: Their number, or a part for each owned cell; None for the default.
+        petsc_options: Options without prefix.
+        c: Stiffness of the matrix material [kPa]; the paper's if None.
+        prefix: Prefix of PETSc's options.
+        fibres: Both families, unit vectors; from Laplace problems if None.
+        volume_tolerance: Bound of |mean J − 1| of each cell, met by multipliers in place of a
+            large κ; None without.
+        held: Components and facets with u = 0; all components on all openings if None.
+        further: Arguments of ``create_body``.
     """
     artery = materials.ArteryParameters()
     a1, a2 = fibres or fibre_families(wall, fibre_frame(wall))
@@ -84,11 +92,15 @@ def create_wall_problem(
 def create_clamped(
     comm: MPI.Comm, geometry: str, *, dofs: int, folder: Path, degree: int, **settings: object
 ) -> Body:
-    """Build a tube, three elements thick, or vessel, two, with about so many dofs. Collective.
+    """Build a tube, three elements thick, or vessel, two, clamped at its openings. Collective.
 
-    Clamped at its openings; PETSc options have the prefix ``tube_`` or ``vessel_``. The mesh of the
-    vessel, of 50 000 dofs at least, is kept in a folder; further settings are those of
-    :func:`create_wall_problem`.
+    Args:
+        comm: Communicator.
+        geometry: ``tube`` or ``vessel``, which is also the prefix of PETSc's options.
+        dofs: Approximate number of displacement dofs; 50 000 at least for the vessel.
+        folder: Where the mesh of the vessel is kept.
+        degree: Degree of the displacement.
+        settings: Arguments of :func:`create_wall_problem`.
     """
     if geometry == "tube":
         along = max(2, round(np.sqrt(dofs / DOFS_ALONG[degree])))

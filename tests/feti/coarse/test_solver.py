@@ -64,7 +64,7 @@ def factored(lifetime):
 
 def rows_of_process(n):
     """How many of n rows this process has, by PETSc's layout."""
-    return n // COMM.size + (COMM.rank < n % COMM.size)
+    return n // COMM.size + (1 if COMM.rank < n % COMM.size else 0)
 
 
 def random_definite(n):

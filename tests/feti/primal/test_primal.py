@@ -111,7 +111,7 @@ def test_negative_curvature(share, proved, torn_grid, create_primal):
 
 
 def test_ritz_values(torn_grid, create_primal):
-    """The coefficients of conjugate gradients tell the spectrum."""
+    """The spectrum follows from the coefficients of conjugate gradients."""
     problem = torn_grid((2, 2), (2, 2), components=2)
     primal = create_primal(problem, type="all_floating", interior="keep", coarse_modes=0)
     exact = primal_form.reference(problem, primal)

@@ -112,8 +112,8 @@ def test_other_solvers_do_not_tell(torn_grid, create_dual):
 
 def test_interior_that_only_seems_singular(torn_grid, create_dual, monkeypatch):
     """A badly conditioned one may grow random vectors, and have no null vector all the same."""
-    tells = "dolfinx_feti.feti.subdomain.interior.is_numerically_singular"
-    monkeypatch.setattr(tells, lambda *_: True)
+    name = "dolfinx_feti.feti.subdomain.interior.is_numerically_singular"
+    monkeypatch.setattr(name, lambda *_: True)
     create_dual(torn_grid(**GRID).A, interior="eliminate")
 
 
