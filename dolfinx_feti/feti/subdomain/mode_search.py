@@ -182,18 +182,20 @@ def _factor_if_regular(K: ScaledMatrix, R: Array, rho: float) -> RegularisedMatr
     Returns:
         K_ρ; None if it is singular within the tolerances, or has no factor.
     """
+    K_ρ: RegularisedMatrix | None = None
     try:
-        factor = K.factor_for_preconditioner(R, rho)
+        K_ρ = RegularisedMatrix(K, R, rho, K.factor_for_preconditioner(R, rho))
+        # A factor in single precision has passed a stricter test of the same growth.
+        if K_ρ.factor.is_single_precision or not K_ρ.is_singular():
+            return K_ρ
     except FactorError:
-        # Some solvers stop at a zero pivot of a singular K_ρ. After any other error the caller
-        # fails as well, in a product with K or in the next factorisation.
-        return None
-    K_ρ = RegularisedMatrix(K, R, rho, factor)
-    # A factor in single precision has passed a stricter test of the same growth.
-    if not factor.is_single_precision and K_ρ.is_singular():
+        # Some solvers stop at a zero pivot of a singular K_ρ, in the factorisation or in a solve.
+        # After any other error the caller fails as well, in a product with K or in the next
+        # factorisation.
+        pass
+    if K_ρ is not None:
         K_ρ.destroy()
-        return None
-    return K_ρ
+    return None
 
 
 def _append_buckling_modes(K_ρ: RegularisedMatrix) -> RegularisedMatrix:
