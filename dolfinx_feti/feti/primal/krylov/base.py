@@ -61,7 +61,7 @@ class KrylovMethod(Protocol):
     - apply A and M by ``system.apply`` and ``system.precondition`` only,
     - compute z from the residual in each iteration. z is accurate to single precision only
       (``coarse.products``). So a recurrence for z itself, such as z ← z − α M A p of conjugate
-      residuals, cannot reduce ‖r‖ below some 1e-6 ‖r₀‖,
+      residuals, cannot reduce ‖r‖ below some 1e-6 ‖r₀‖ (measured for a tube),
     - call ``stopping`` as :class:`~dolfinx_feti.feti.primal.stopping.StoppingTest` describes, and
       end unless the reason is ``ITERATING``,
     - end with ``needs_fresh_start`` if it can neither converge nor continue.
