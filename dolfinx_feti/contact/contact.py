@@ -32,7 +32,7 @@ from ufl.core.expr import Expr
 from dolfinx_feti.contact.crossing import CrossingDetection
 from dolfinx_feti.contact.evaluation import ContactEvaluation
 from dolfinx_feti.contact.points import create_point_space
-from dolfinx_feti.contact.surface import Surface
+from dolfinx_feti.contact.surface import ContactSurface
 from dolfinx_feti.contact.tools import Tool
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.mechanics.values import require_positive
@@ -233,7 +233,7 @@ class Contact:
         Raises:
             ValueError: The measure has no facets, or the weight is not positive.
         """
-        surface = Surface(
+        surface = ContactSurface(
             self.u.function_space, self.multiplier.function_space, self._ds, compiler, self._weight
         )
         values = ContactEvaluation(

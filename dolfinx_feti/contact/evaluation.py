@@ -14,7 +14,7 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.contact.surface import Surface
+from dolfinx_feti.contact.surface import ContactSurface
 from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["ContactEvaluation"]
@@ -29,7 +29,7 @@ class ContactEvaluation:
 
     def __init__(
         self,
-        surface: Surface,
+        surface: ContactSurface,
         gap: Expr,
         u: dolfinx.fem.Function,
         multiplier: dolfinx.fem.Function,

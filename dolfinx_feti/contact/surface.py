@@ -47,7 +47,7 @@ from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Indices
 
-__all__ = ["Surface"]
+__all__ = ["ContactSurface"]
 
 #: Relative residual of the fit's normal equations: below the tolerances of Newton's method. Each
 #: further digit takes about four products with a small matrix.
@@ -62,7 +62,7 @@ TRACE_ATOL = 1e-12
 MAX_FIT_ITERATIONS = 100
 
 
-class Surface:
+class ContactSurface:
     """The quadrature points of a measure.
 
     Attributes:

@@ -11,7 +11,8 @@ of the facets.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,15 +25,15 @@ from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.runtime.arrays import Array, Integers, Mask, Numbers
 from dolfinx_feti.runtime.collective import bounding_box, on_all
 
-__all__ = ["Surface", "gather_surface"]
+__all__ = ["BodySurface", "gather_surface"]
 
 #: Distance of points that count as one, over the extent of the body. Rounding errors are 1e-16 of
 #: it, the edges of ten million cells 5e-3.
-SAME_POINT = 1e-8
+SAME_POINT_RTOL = 1e-8
 
-#: Shift of the cells of size SAME_POINT in which points are sorted: coordinates such as 2⁻⁹ must
-#: not be on their boundary. Any number that is no short binary or decimal fraction would do.
-SHIFT = 0.381966
+#: Shift of the cells of size SAME_POINT_RTOL in which points are sorted: coordinates such as 2⁻⁹
+#: must not be on their boundary. Any number that is no short binary or decimal fraction would do.
+ROUNDING_SHIFT = 0.381966
 
 #: Pairs of corners whose mean is a node of a triangle: its corners, and the middles of its edges.
 TRIANGLE_NODES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
@@ -47,12 +48,12 @@ QUADRILATERALS = np.array(
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
-    """Triangles of a surface.
+class BodySurface:
+    """Triangles of the surface of a body.
 
     Attributes:
         points: Corners of the triangles in the deformed body, (n, 3).
-        triangles: Points of each triangle, outside on the left-hand turn, (t, 3).
+        triangles: Points of each triangle, counterclockwise as seen from outside, (t, 3).
         values: Values of the field at the points, (n,), or (n, 3) of vectors.
         part: Number of the part of the body that each triangle bounds, (t,).
         is_plane: Whether the body is a domain of the plane.
@@ -65,6 +66,25 @@ class Surface:
     is_plane: bool
 
 
+@dataclass(frozen=True, slots=True)
+class _Triangles:
+    """Triangles that do not share their corners yet.
+
+    Attributes:
+        X: Corners in the reference body, (t, 3, 3).
+        x: Corners in the deformed body, (t, 3, 3).
+        values: Values of the field at the corners, (t, 3, components).
+        part: Number of the part of the body, (t,).
+        face: Number of the face, which several triangles make up, (t,).
+    """
+
+    X: Array
+    x: Array
+    values: Array
+    part: Numbers
+    face: Numbers
+
+
 def gather_surface(
     mesh: dolfinx.mesh.Mesh,
     values: Expr | None,
@@ -73,7 +93,7 @@ def gather_surface(
     part: Integers | None = None,
     mask: Mask | None = None,
     is_continuous: bool = True,
-) -> Surface | None:
+) -> BodySurface | None:
     """Return the surface of a body, or of each of its parts. Collective.
 
     Args:
@@ -88,38 +108,75 @@ def gather_surface(
     Returns:
         The surface on the first process; None on all others.
     """
-    comm = mesh.comm
-    cells, faces = on_all(lambda: _boundary(mesh, part, mask), comm)
-    nodes, triangles = _reference_triangles(mesh)
-    X = ufl.SpatialCoordinate(mesh)
-    x = X if displacement is None else X + displacement
-    expressions = [X, x] if values is None else [X, x, values]
-    sampled = [_evaluate(expression, mesh, cells, nodes) for expression in expressions]
-    is_plane = mesh.geometry.dim == 2
-    here = triangles[faces]  # nodes of the triangles of each face, (n_faces, t, 3)
-    which = np.arange(len(cells))[:, None, None]
-    corners = [samples[which, here] for samples in sampled]  # (n_faces, t, 3, size)
-    part_of_face: Numbers = np.zeros(len(cells), dtype=np.int64)
-    if part is not None:
-        part_of_face = part[cells].astype(np.int64)
-    part_of_triangle = np.repeat(part_of_face, here.shape[1])
-    if not is_plane:
-        inside = sampled[1].mean(axis=1)[:, None, :]  # a point in each cell
-        turned = _is_turned(corners[1], inside)
-        for array in corners:
-            array[turned] = array[turned][:, ::-1]
-    flat = [array.reshape(-1, array.shape[-1]) for array in corners]
-    gathered = comm.gather((part_of_triangle, *flat))
-    low, high = bounding_box(mesh.geometry.x, comm)
+    here = _triangles(mesh, values, displacement, part, mask)
+    low, high = bounding_box(mesh.geometry.x, mesh.comm)
+    gathered = mesh.comm.gather(here)
     if gathered is None:
         return None
-    of_all, *flat = (np.concatenate(arrays) for arrays in zip(*gathered, strict=True))
-    if not is_continuous:
-        triangles_of_face = here.shape[1]
-        face_of_triangle = np.arange(len(of_all)) // triangles_of_face
-        surface = _merged(face_of_triangle, flat, SAME_POINT * float((high - low).max()), is_plane)
-        return replace(surface, part=of_all)
-    return _merged(of_all, flat, SAME_POINT * float((high - low).max()), is_plane)
+    triangles = _joined(gathered)
+    group = triangles.part if is_continuous else triangles.face
+    tolerance = SAME_POINT_RTOL * float((high - low).max())
+    return _with_shared_points(triangles, group, tolerance, is_plane=mesh.geometry.dim == 2)
+
+
+def _triangles(
+    mesh: dolfinx.mesh.Mesh,
+    values: Expr | None,
+    displacement: Expr | None,
+    part: Integers | None,
+    mask: Mask | None,
+) -> _Triangles:
+    """Return the triangles of this process; arguments as in gather_surface. Collective."""
+    cells, faces = on_all(lambda: _boundary(mesh, part, mask), mesh.comm)
+    nodes, triangles_of_faces = _reference_triangles(mesh)
+    nodes_of_triangles = triangles_of_faces[faces]  # (n_faces, triangles of a face, 3)
+    n_faces, per_face, _ = nodes_of_triangles.shape
+    face = np.arange(n_faces)
+
+    def at_corners(expression: Expr) -> Array:
+        """Return an expression at all corners, (n_faces, triangles of a face, 3, size)."""
+        at_nodes = _evaluate(expression, mesh, cells, nodes)
+        return at_nodes[face[:, None, None], nodes_of_triangles]
+
+    position = ufl.SpatialCoordinate(mesh)
+    X = at_corners(position)
+    x = X if displacement is None else at_corners(position + displacement)
+    field: Array = np.zeros((*nodes_of_triangles.shape, 1))
+    if values is not None:
+        field = at_corners(values)
+    if mesh.geometry.dim == 3:
+        moved = position if displacement is None else position + displacement
+        inside = _evaluate(moved, mesh, cells, nodes).mean(axis=1)  # a point in each cell
+        is_turned = _is_turned(x, inside[:, None, :])
+        X = np.where(is_turned[:, :, None, None], X[:, :, ::-1], X)
+        x = np.where(is_turned[:, :, None, None], x[:, :, ::-1], x)
+        field = np.where(is_turned[:, :, None, None], field[:, :, ::-1], field)
+    part_of_face: Numbers = np.zeros(n_faces, dtype=np.int64)
+    if part is not None:
+        part_of_face = part[cells].astype(np.int64)
+    return _Triangles(
+        X=X.reshape(-1, 3, 3),
+        x=x.reshape(-1, 3, 3),
+        values=field.reshape(-1, 3, field.shape[3]),
+        part=np.repeat(part_of_face, per_face),
+        face=np.repeat(face, per_face),
+    )
+
+
+def _joined(of_processes: Sequence[_Triangles]) -> _Triangles:
+    """Return the triangles of all processes, with their faces numbered anew."""
+    faces = []
+    n_faces = 0
+    for triangles in of_processes:
+        faces.append(n_faces + triangles.face)
+        n_faces += int(triangles.face.max(initial=-1)) + 1
+    return _Triangles(
+        X=np.concatenate([triangles.X for triangles in of_processes]),
+        x=np.concatenate([triangles.x for triangles in of_processes]),
+        values=np.concatenate([triangles.values for triangles in of_processes]),
+        part=np.concatenate([triangles.part for triangles in of_processes]),
+        face=np.concatenate(faces),
+    )
 
 
 def _boundary(
@@ -144,23 +201,25 @@ def _boundary(
     n_facets = dolfinx.cpp.mesh.cell_num_entities(topology.cell_type, tdim - 1)
     facets = facets.reshape(-1, n_facets)[cells]
     if part is None:
-        count = dolfinx.la.vector(topology.index_map(tdim - 1))
-        np.add.at(count.array, facets.ravel(), 1.0)
-        count.scatter_reverse(dolfinx.la.InsertMode.add)
-        count.scatter_forward()
-        is_boundary = count.array[facets] < 1.5
+        cells_of_facet = dolfinx.la.vector(topology.index_map(tdim - 1))
+        np.add.at(cells_of_facet.array, facets.ravel(), 1.0)
+        cells_of_facet.scatter_reverse(dolfinx.la.InsertMode.add)
+        cells_of_facet.scatter_forward()
+        is_boundary = cells_of_facet.array[facets] < 1.5  # one cell, not two
     else:
         of_part = np.column_stack([np.repeat(part[cells], n_facets), facets.ravel()])
         _, inverse, counts = np.unique(of_part, axis=0, return_inverse=True, return_counts=True)
         is_boundary = counts[inverse.ravel()].reshape(facets.shape) == 1
-    row, face = np.nonzero(is_boundary)
-    return cells[row], face
+    index, face = np.nonzero(is_boundary)
+    return cells[index], face
 
 
 def _reference_triangles(mesh: dolfinx.mesh.Mesh) -> tuple[Array, Numbers]:
-    """Return the nodes of a quadratic element, (nodes, tdim), and the triangles of its faces.
+    """Return the nodes of a quadratic element, and the triangles that its faces consist of.
 
-    The second result holds the nodes of the triangles of each face, (faces, t, 3).
+    Returns:
+        The nodes in the reference cell, (nodes, tdim), and the nodes of the triangles of each face,
+        (faces, triangles of a face, 3).
     """
     cell = getattr(basix.CellType, mesh.topology.cell_name())
     element = basix.create_element(basix.ElementFamily.P, cell, 2)
@@ -170,15 +229,15 @@ def _reference_triangles(mesh: dolfinx.mesh.Mesh) -> tuple[Array, Numbers]:
     for face in basix.topology(cell)[2]:
         corners = vertices[face]
         if len(face) == 3:
-            places = [corners[[i, j]].mean(axis=0) for i, j in TRIANGLE_NODES]
+            points = [corners[[i, j]].mean(axis=0) for i, j in TRIANGLE_NODES]
             of_face = TRIANGLES
         else:
             edges = corners[1] - corners[0], corners[2] - corners[0]
-            places = [
+            points = [
                 corners[0] + 0.5 * (i * edges[0] + j * edges[1]) for j in range(3) for i in range(3)
             ]
             of_face = QUADRILATERALS
-        distance = np.linalg.norm(nodes[None] - np.array(places)[:, None], axis=2)
+        distance = np.linalg.norm(nodes[None] - np.array(points)[:, None], axis=2)
         triangles.append(distance.argmin(axis=1)[of_face])
     return nodes, np.array(triangles, dtype=np.int64)
 
@@ -201,7 +260,7 @@ def _evaluate(expression: Expr, mesh: dolfinx.mesh.Mesh, cells: Integers, nodes:
 
 
 def _is_turned(x: Array, inside: Array) -> Mask:
-    """Return the triangles, (n, t), whose normal points to a point of their cell.
+    """Return a mask of the triangles whose normal points into their cell, (n, t).
 
     Args:
         x: Corners of the triangles, (n, t, 3, 3).
@@ -212,31 +271,31 @@ def _is_turned(x: Array, inside: Array) -> Mask:
     return np.asarray(np.einsum("nti,nti->nt", normal, outward) < 0.0)
 
 
-def _merged(numbers: Numbers, corners: list[Array], tolerance: float, is_plane: bool) -> Surface:
-    """Return the surface whose triangles share their points, inside of each part.
+def _with_shared_points(
+    triangles: _Triangles, group: Numbers, tolerance: float, *, is_plane: bool
+) -> BodySurface:
+    """Return the surface whose triangles share their points inside of each group.
 
     Args:
-        numbers: Part of each triangle, (t,).
-        corners: Reference and deformed positions of the corners, (3 t, 3) each, and values,
-            (3 t, size).
+        triangles: The triangles.
+        group: Number of the group of each triangle, (t,).
         tolerance: Distance of reference positions that are one point.
-        is_plane: See :class:`Surface`.
+        is_plane: Whether the body is a domain of the plane.
     """
-    X, x, *rest = corners
-    keys = np.column_stack(
-        [np.repeat(numbers, 3), np.floor(X / tolerance + SHIFT).astype(np.int64)]
-    )
-    _, inverse = np.unique(keys, axis=0, return_inverse=True)
-    inverse = inverse.ravel()
-    count = np.bincount(inverse)
-    points = _means(x, inverse, count)
-    values = _means(rest[0], inverse, count) if rest else np.zeros((len(count), 1))
+    X = triangles.X.reshape(-1, 3)
+    rounded = np.floor(X / tolerance + ROUNDING_SHIFT).astype(np.int64)
+    keys = np.column_stack([np.repeat(group, 3), rounded])
+    _, point_of_corner = np.unique(keys, axis=0, return_inverse=True)
+    point_of_corner = point_of_corner.ravel()
+    points = _means(triangles.x.reshape(-1, 3), point_of_corner)
+    values = _means(triangles.values.reshape(-1, triangles.values.shape[2]), point_of_corner)
     if values.shape[1] == 1:
         values = values[:, 0]
-    return Surface(points, inverse.reshape(-1, 3), values, numbers, is_plane)
+    return BodySurface(points, point_of_corner.reshape(-1, 3), values, triangles.part, is_plane)
 
 
-def _means(values: Array, which: Integers, count: Integers) -> Array:
-    """Return the mean of the rows of each point, (points, size)."""
-    sums = [np.bincount(which, column) for column in values.T]
+def _means(rows: Array, point: Integers) -> Array:
+    """Return the mean of the rows, (corners, size), of each point, (points, size)."""
+    count = np.bincount(point)
+    sums = [np.bincount(point, column) for column in rows.T]
     return np.asarray(np.stack(sums, axis=1) / count[:, None])

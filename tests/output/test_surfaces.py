@@ -12,7 +12,7 @@ from collective import COMM, agree, small
 import dolfinx
 import ufl
 
-from dolfinx_feti.output.surfaces import Surface, gather_surface
+from dolfinx_feti.output.surfaces import BodySurface, gather_surface
 
 CELLS = {
     "triangle": dolfinx.mesh.CellType.triangle,
@@ -30,7 +30,7 @@ def create_body(cell: str) -> dolfinx.mesh.Mesh:
     return dolfinx.mesh.create_unit_cube(COMM, 4, 4, 4, cell_type=kind)
 
 
-def areas(surface: Surface) -> np.ndarray:
+def areas(surface: BodySurface) -> np.ndarray:
     """Vectors normal to the triangles, with their areas, (t, 3)."""
     x = surface.points[surface.triangles]
     return np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2

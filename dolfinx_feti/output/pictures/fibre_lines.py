@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.spatial
 
-from dolfinx_feti.output.surfaces import Surface
+from dolfinx_feti.output.surfaces import BodySurface
 from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["fibre_lines"]
@@ -33,7 +33,7 @@ N_POINTS = 17
 RIM = 0.8
 
 
-def fibre_lines(surface: Surface) -> Array:
+def fibre_lines(surface: BodySurface) -> Array:
     """Return lines along the unit vectors of a surface, (n, N_POINTS, 3).
 
     One line starts in each cube of a grid. Its steps follow the vector of the nearest point, in the
@@ -77,7 +77,7 @@ def _one_in_each_cube(points: Array, edge: float) -> Array:
     return points[shuffled[first]]
 
 
-def _point_normals(surface: Surface) -> Array:
+def _point_normals(surface: BodySurface) -> Array:
     """Return the unit normal of the surface at each point, (points, 3)."""
     x = surface.points[surface.triangles]
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])

@@ -23,7 +23,7 @@ from dolfinx_feti.output.evaluation import mesh_of
 from dolfinx_feti.output.pictures.colours import FIBRES, TISSUE, ColourScale, subdomain_colours
 from dolfinx_feti.output.pictures.fibre_lines import fibre_lines
 from dolfinx_feti.output.pictures.pyvista_import import import_pyvista, require_pyvista
-from dolfinx_feti.output.surfaces import Surface, gather_surface
+from dolfinx_feti.output.surfaces import BodySurface, gather_surface
 from dolfinx_feti.problems.torn_problem import TornProblem
 from dolfinx_feti.runtime.arrays import Array, Integers, Mask
 from dolfinx_feti.wall.wall import Wall
@@ -54,7 +54,7 @@ class Panel:
     """
 
     comm: MPI.Comm
-    surface: Surface | None
+    surface: BodySurface | None
     title: str
     label: str
 
@@ -92,7 +92,7 @@ class Panel:
         """
         raise NotImplementedError
 
-    def surface_here(self) -> Surface:
+    def surface_here(self) -> BodySurface:
         """Return the surface on the first process.
 
         Raises:
@@ -290,7 +290,7 @@ def _mask(mesh: dolfinx.mesh.Mesh, cells: Integers) -> Mask:
     return mask
 
 
-def _pulled_apart(surface: Surface, apart: float) -> Surface:
+def _pulled_apart(surface: BodySurface, apart: float) -> BodySurface:
     """Return the surface with each part moved away from the middle of all."""
     middle = surface.points[surface.triangles].mean(axis=1)  # (t, 3)
     count = np.maximum(np.bincount(surface.part), 1)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_feti.output.surfaces import Surface
+from dolfinx_feti.output.surfaces import BodySurface
 from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["View", "view_of"]
@@ -41,7 +41,7 @@ class View:
     half_height: float
 
 
-def view_of(surfaces: Sequence[Surface], viewer: Sequence[float] | None) -> View:
+def view_of(surfaces: Sequence[BodySurface], viewer: Sequence[float] | None) -> View:
     """Return the view of all bodies at which the largest fits into the window.
 
     Args:
