@@ -11,9 +11,10 @@ Example::
     curve = respond(material, uniaxial(np.linspace(0.8, 1.6, 41)))
 
 In the order of the data: compiled, paths, equilibrium, response, moduli, ellipticity,
-report, fitting.
+checks, report, fitting.
 """
 
+from dolfinx_feti.workshop.checks import Check
 from dolfinx_feti.workshop.compiled import Material, States, compile_material, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, least_eigenvalues, scan_ellipticity
 from dolfinx_feti.workshop.fitting import Fit, fit
@@ -27,7 +28,7 @@ from dolfinx_feti.workshop.paths import (
     simple_shear,
     uniaxial,
 )
-from dolfinx_feti.workshop.report import Check, Report, check
+from dolfinx_feti.workshop.report import Report, check
 from dolfinx_feti.workshop.response import DataSet, Response, plot_responses, respond
 
 __all__ = [

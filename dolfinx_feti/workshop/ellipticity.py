@@ -33,7 +33,7 @@ ZERO_EIGENVALUE = 1e-10
 N_DIRECTIONS = 400
 
 #: Directions around the best one in each further search.
-AROUND = 12
+N_AROUND = 12
 
 #: Their distances from it [rad], one search after the other: 0.1 is the distance of the first
 #: directions, and the square of the last one, 1e-14, is the error of an eigenvalue.
@@ -98,25 +98,46 @@ def least_eigenvalues(F: Array, A: Array, *, incompressible: bool) -> tuple[Arra
     """
     J = np.linalg.det(F)[:, None, None, None, None]
     spatial = np.einsum("niJkL,njJ,nlL->nijkl", A, F, F, optimize=True) / J
-    z = (np.arange(N_DIRECTIONS) + 0.5) / N_DIRECTIONS  # a Fibonacci lattice; Q(−n) = Q(n)
+    lattice = _lattice()
+    candidates = np.broadcast_to(lattice, (len(F), *lattice.shape))
+    least, n = _least_of(candidates, spatial, incompressible=incompressible)
+    angle = np.linspace(0, 2 * np.pi, N_AROUND, endpoint=False)
+    circle = np.column_stack((np.cos(angle), np.sin(angle)))
+    ring = np.vstack((np.zeros(2), circle))  # with the middle, which is the best one so far
+    for distance in DISTANCES:
+        candidates = n[:, None] + distance * ring @ _tangents(n).swapaxes(-1, -2)
+        candidates /= np.linalg.norm(candidates, axis=-1, keepdims=True)
+        least, n = _least_of(candidates, spatial, incompressible=incompressible)
+    return least, n
+
+
+def _lattice() -> Array:
+    """Return a Fibonacci lattice on half of the sphere, (N_DIRECTIONS, 3), as Q(−n) = Q(n)."""
+    z = (np.arange(N_DIRECTIONS) + 0.5) / N_DIRECTIONS
     φ = np.arange(N_DIRECTIONS) * np.pi * (3 - np.sqrt(5))
     r = np.sqrt(1 - z**2)
-    lattice = np.column_stack((r * np.cos(φ), r * np.sin(φ), z))
-    n = np.broadcast_to(lattice, (len(F), *lattice.shape))
-    angle = np.linspace(0, 2 * np.pi, AROUND, endpoint=False)
-    ring = np.vstack((np.zeros(2), np.column_stack((np.cos(angle), np.sin(angle)))))
-    for distance in (None, *DISTANCES):
-        if distance is not None:
-            n = n + distance * ring @ _tangents(n).swapaxes(-1, -2)[:, 0]
-            n /= np.linalg.norm(n, axis=-1, keepdims=True)
-        Q = np.einsum("nijkl,naj,nal->naik", spatial, n, n, optimize=True)
-        if incompressible:
-            T = _tangents(n)
-            Q = T.swapaxes(-1, -2) @ Q @ T
-        values = np.linalg.eigvalsh(Q)[..., 0]
-        best = values.argmin(axis=1)[:, None]
-        n = np.take_along_axis(n, best[:, :, None], axis=1)
-    return np.take_along_axis(values, best, axis=1)[:, 0], n[:, 0]
+    return np.column_stack((r * np.cos(φ), r * np.sin(φ), z))
+
+
+def _least_of(directions: Array, spatial: Array, *, incompressible: bool) -> tuple[Array, Array]:
+    """Return the smallest eigenvalue of the acoustic tensor over given directions.
+
+    Args:
+        directions: Unit normals to choose from, (n, directions, 3).
+        spatial: Tangents 𝒜 of the states [kPa], (n, 3, 3, 3, 3).
+        incompressible: Whether only polarisations normal to a direction are admissible.
+
+    Returns:
+        Smallest eigenvalues [kPa], (n,), and their directions, (n, 3).
+    """
+    Q = np.einsum("nijkl,naj,nal->naik", spatial, directions, directions, optimize=True)
+    if incompressible:
+        T = _tangents(directions)
+        Q = T.swapaxes(-1, -2) @ Q @ T
+    values = np.linalg.eigvalsh(Q)[..., 0]
+    best = values.argmin(axis=1)
+    state = np.arange(len(values))
+    return values[state, best], directions[state, best]
 
 
 def _along(material: Material, path: MaterialTest) -> Array:

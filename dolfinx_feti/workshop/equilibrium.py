@@ -37,7 +37,7 @@ LOAD_STEPS = (1, 8, 64)
 LAST_INCREMENT = 1e-9
 
 #: Residual, relative to the tangent, above which a state with a small increment has not converged.
-BALANCED = 1e-7
+BALANCED_RTOL = 1e-7
 
 #: Residual, relative to the tangent, that is rounding.
 RESIDUAL_ROUNDING = 1e-14
@@ -46,7 +46,7 @@ RESIDUAL_ROUNDING = 1e-14
 SUFFICIENT_DECREASE = 1e-4
 
 #: Volume ratio below which a body has collapsed, as St Venant–Kirchhoff's energy allows.
-COLLAPSED = 1e-6
+MIN_VOLUME_RATIO = 1e-6
 
 #: ε_ijk, the permutation symbol.
 PERMUTATION = np.linalg.det(np.eye(3)[np.indices((3, 3, 3)).transpose(1, 2, 3, 0)]).round()
@@ -86,33 +86,33 @@ class _Balance:
             F: Deformation gradients, (n, 3, 3).
             p: Pressures [kPa], (n,); NaN for the one with the smallest residual.
         """
-        free = self.free
-        scale = self.scale
-        D = self.free.reshape(len(self.free), 9)
         states = evaluate(self.energy, F)
-        cof = cofactor(F)
-        r = _entries(states.P / scale, free)
-        A = states.A
+        r = _entries(states.P / self.scale, self.free)
         if self.flexibility is None:
             p = np.zeros(len(F))
+            K = self._projected(states.A)
         else:
-            volume = _entries(cof, free)
-            p_best = -scale * (r * volume).sum(axis=1)
-            p_best /= np.maximum((volume**2).sum(axis=1), COLLAPSED)
+            cof = cofactor(F)
+            volume = _entries(cof, self.free)  # D_k : cof F
+            p_best = -self.scale * (r * volume).sum(axis=1)
+            p_best /= np.maximum((volume**2).sum(axis=1), MIN_VOLUME_RATIO)
             p = np.where(np.isnan(p), p_best, p)
-            r = r + (p / scale)[:, None] * volume
-            A = total_tangent(A, F, p)
-        K = D @ (A / scale).reshape(len(F), 9, 9) @ D.T  # D_k : A : D_l
-        if self.flexibility is not None:
-            row = volume[:, None]
-            corner = np.full((len(F), 1, 1), -scale * self.flexibility)
-            K = np.block([[K, row.swapaxes(1, 2)], [row, corner]])
             J = np.einsum("nij,nij->n", cof, F) / 3
+            r = r + (p / self.scale)[:, None] * volume
             r = np.column_stack((r, J - 1 - p * self.flexibility))
+            row = volume[:, None]
+            corner = np.full((len(F), 1, 1), -self.scale * self.flexibility)
+            K_free = self._projected(total_tangent(states.A, F, p))
+            K = np.block([[K_free, row.swapaxes(1, 2)], [row, corner]])
         norm = np.linalg.norm(r, axis=1)
         is_finite = np.isfinite(norm) & np.isfinite(K).all(axis=(1, 2))
-        norm = np.where(is_finite & (np.linalg.det(F) > COLLAPSED), norm, np.inf)
+        norm = np.where(is_finite & (np.linalg.det(F) > MIN_VOLUME_RATIO), norm, np.inf)
         return _Trial(F, p, r, K, norm)
+
+    def _projected(self, A: Array) -> Array:
+        """Return D_k : A : D_l without unit, (n, k, k), of tangents [kPa], (n, 3, 3, 3, 3)."""
+        D = self.free.reshape(len(self.free), 9)
+        return np.asarray(D @ (A / self.scale).reshape(len(A), 9, 9) @ D.T)
 
 
 def equilibrate(material: Material, F: Array, free: Array) -> tuple[Array, Array]:
@@ -194,14 +194,14 @@ def _approach(balance: _Balance, F: Array, steps: int) -> tuple[Array, Array]:
     return np.where(is_solved[:, None, None], state.F, np.nan), np.where(is_solved, p, np.nan)
 
 
-def _newton(balance: _Balance, F: Array, p: Array, wanted: Mask) -> tuple[_Trial, Mask]:
+def _newton(balance: _Balance, F: Array, p: Array, is_wanted: Mask) -> tuple[_Trial, Mask]:
     """Solve for several states at once by Newton's method.
 
     Args:
         balance: The equations.
         F: Deformation gradients with guesses of the free entries, (n, 3, 3).
         p: Guesses of the pressures [kPa], (n,); NaN for none.
-        wanted: Mask of the states to solve for, (n,).
+        is_wanted: Mask of the states to solve for, (n,).
 
     Returns:
         The last states, and a mask of those that have converged, (n,).
@@ -209,7 +209,7 @@ def _newton(balance: _Balance, F: Array, p: Array, wanted: Mask) -> tuple[_Trial
     state = balance.at(F, p)
     k = len(balance.free)
     has_converged: Mask = np.zeros(len(F), dtype=bool)
-    is_active = wanted
+    is_active = is_wanted
     for _ in range(MAX_STEPS):
         is_active = is_active & ~has_converged & np.isfinite(state.norm)
         if not is_active.any():
@@ -223,14 +223,14 @@ def _newton(balance: _Balance, F: Array, p: Array, wanted: Mask) -> tuple[_Trial
         dx = step[:, :k]
         dp = balance.scale * step[:, k:].sum(axis=1)
         is_small = np.abs(dx).max(axis=1, initial=0.0) < LAST_INCREMENT
-        is_solved = is_small & state.has_residual_below(BALANCED)
+        is_solved = is_small & state.has_residual_below(BALANCED_RTOL)
         is_solved |= state.has_residual_below(RESIDUAL_ROUNDING)
         has_converged = has_converged | (is_active & is_solved)
         needs_no_step: Mask = has_converged | ~is_active
         alpha: Array = np.ones(len(F))
         for _ in range(MAX_HALVINGS):
-            by = _combine(alpha[:, None] * dx, balance.free)
-            trial = balance.at(state.F + by, state.p + alpha * dp)
+            change = _combine(alpha[:, None] * dx, balance.free)
+            trial = balance.at(state.F + change, state.p + alpha * dp)
             bound = (1 - SUFFICIENT_DECREASE * alpha) * state.norm
             is_accepted = needs_no_step | (trial.norm <= bound)
             if is_accepted.all():

@@ -39,7 +39,16 @@ BOUND_RTOL = 1e-6
 SINGULAR_RTOL = 1e-7
 
 #: Component of such a combination above which a parameter takes part in it.
-COMPONENT = 1e-3
+MIN_COMPONENT = 1e-3
+
+
+#: Relative change of the sum of squares, and size of its gradient, at which the fit ends: far below
+#: the errors of measurements, so that intervals do not depend on them.
+FIT_FTOL = 1e-12
+FIT_GTOL = 1e-12
+
+#: Relative change of the parameters at which the fit ends, of the order of the errors of R.
+FIT_XTOL = 1e-10
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,28 +77,36 @@ class Fit:
 
     def __str__(self) -> str:
         """Return a table of the parameters and one of the data sets."""
-        parameters = list[list[Cell]]()
-        sets = list[list[Cell]]()
-        for name, (low, high) in self.intervals.items():
-            ends: list[Cell] = [low, high]
-            remark = ""
-            if math.isnan(low):
-                ends = [None, None]
-                remark = "on its bound"
-            elif math.isinf(low):
-                remark = "not determined by the data"
-            parameters.append([name, self.values[name], *ends, remark])
-        for d, response in zip(self.data, self.responses, strict=True):
-            error = stresses(response, d.measure) - d.stress
-            variance = np.sum((d.stress - d.stress.mean(axis=0)) ** 2)
-            explained = 1 - np.sum(error**2) / variance if variance > 0 else math.nan
-            sets.append([d.name, len(error), float(np.sqrt(np.mean(error**2))), float(explained)])
+        parameters = [self._parameter_row(name) for name in self.intervals]
+        pairs = zip(self.data, self.responses, strict=True)
+        data_sets = [_data_set_row(data_set, response) for data_set, response in pairs]
         level = f"{100 * self.confidence:g} % confidence"
         return (
             text_table(["parameter", "value", level, "", ""], parameters)
             + "\n\n"
-            + text_table(["data set", "states", "rms error [kPa]", "R²"], sets)
+            + text_table(["data set", "states", "rms error [kPa]", "R²"], data_sets)
         )
+
+    def _parameter_row(self, name: str) -> list[Cell]:
+        """Return the row of a parameter: its name, value, interval, and a remark."""
+        low, high = self.intervals[name]
+        value = self.values[name]
+        if math.isnan(low):
+            return [name, value, None, None, "on its bound"]
+        if math.isinf(low):
+            return [name, value, low, high, "not determined by the data"]
+        return [name, value, low, high, ""]
+
+
+def _data_set_row(data_set: DataSet, response: Response) -> list[Cell]:
+    """Return the row of a data set: its name, number of states, rms error [kPa], and R²."""
+    error = stresses(response, data_set.measure) - data_set.stress
+    rms = float(np.sqrt(np.mean(error**2)))
+    variance = np.sum((data_set.stress - data_set.stress.mean(axis=0)) ** 2)
+    explained = math.nan
+    if variance > 0:
+        explained = float(1 - np.sum(error**2) / variance)
+    return [data_set.name, len(error), rms, explained]
 
 
 def fit(
@@ -146,9 +163,11 @@ def fit(
     x = optimum.x
     distance = BOUND_RTOL * np.maximum(np.abs(x), np.abs(first))
     is_free = (np.abs(x - limits) > distance).all(axis=0)
-    C, half = uncertainty(optimum.jac, 2 * optimum.cost, is_free, confidence)
+    C, half_widths = uncertainty(optimum.jac, 2 * optimum.cost, is_free, confidence)
     intervals = {}
-    for name, low, high in zip(names, (x - half).tolist(), (x + half).tolist(), strict=True):
+    for name, low, high in zip(
+        names, (x - half_widths).tolist(), (x + half_widths).tolist(), strict=True
+    ):
         intervals[name] = (low, high)
     fitted = trial(x)
     responses = tuple(respond(fitted, d.path) for d in data)
@@ -168,19 +187,19 @@ def uncertainty(R: Array, squares: float, free: Mask, confidence: float) -> tupl
         The covariance s² (Rᵀ R)⁻¹, (m, m), and half the widths of the intervals, (m,): NaN for
         parameters on a bound, infinite for undetermined ones.
     """
-    freedom = len(R) - int(free.sum())
+    degrees_of_freedom = len(R) - int(free.sum())
     lengths = np.linalg.norm(R[:, free], axis=0)
     lengths[lengths == 0] = 1.0
     _, s, Vt = np.linalg.svd(R[:, free] / lengths, full_matrices=False)
     is_determined = s > SINGULAR_RTOL * s.max(initial=0.0)
     V = Vt[is_determined].T / s[is_determined]
-    C = squares / freedom * (V @ V.T) / np.outer(lengths, lengths)  # s² (Rᵀ R)⁻¹
-    is_undetermined = (np.abs(Vt[~is_determined]) > COMPONENT).any(axis=0)
+    C = squares / degrees_of_freedom * (V @ V.T) / np.outer(lengths, lengths)  # s² (Rᵀ R)⁻¹
+    is_undetermined = (np.abs(Vt[~is_determined]) > MIN_COMPONENT).any(axis=0)
     C[is_undetermined] = np.inf
     C[:, is_undetermined] = np.inf
     covariance = np.full((len(free), len(free)), np.nan)
     covariance[np.ix_(free, free)] = C
-    t = float(scipy.stats.t.ppf((1 + confidence) / 2, freedom))
+    t = float(scipy.stats.t.ppf((1 + confidence) / 2, degrees_of_freedom))
     return covariance, t * np.sqrt(np.diag(covariance))
 
 
@@ -199,9 +218,15 @@ def _minimise(
     """
     try:
         bounds = (limits[0], limits[1])
-        exact = {"ftol": 1e-12, "xtol": 1e-10, "gtol": 1e-12}
         optimum = scipy.optimize.least_squares(
-            residuals, start, jac="3-point", bounds=bounds, x_scale="jac", **exact
+            residuals,
+            start,
+            jac="3-point",
+            bounds=bounds,
+            x_scale="jac",
+            ftol=FIT_FTOL,
+            xtol=FIT_XTOL,
+            gtol=FIT_GTOL,
         )
     except (ValueError, np.linalg.LinAlgError) as error:  # NaN in the differences
         raise ConvergenceError(
@@ -220,12 +245,14 @@ def _check_start(material: Material, data: Sequence[DataSet]) -> None:
     """Raise a ConvergenceError if a measured state has no equilibrium."""
     for d in data:
         response = respond(material, d.path)
-        lost = np.flatnonzero(~np.isfinite(stresses(response, d.measure)).all(axis=1))
-        if len(lost):
-            where = format_value(d.path.symbol, d.path.values[lost[0]])
+        has_stress = np.isfinite(stresses(response, d.measure)).all(axis=1)
+        failed = np.flatnonzero(~has_stress)
+        if len(failed):
+            where = format_value(d.path.symbol, d.path.values[failed[0]])
             raise ConvergenceError(
-                f"With start = {dict(material.parameters)} there is no equilibrium at {len(lost)} "
-                f"states of {d.name}, the first at {where}: start from softer fibres, for instance."
+                f"With start = {dict(material.parameters)} there is no equilibrium at "
+                f"{len(failed)} states of {d.name}, the first at {where}: start from softer "
+                "fibres, for instance."
             )
 
 

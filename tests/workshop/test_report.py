@@ -35,7 +35,7 @@ from dolfinx_feti.workshop import (
     simple_shear,
     uniaxial,
 )
-from dolfinx_feti.workshop.report import check_law, judge, random_states
+from dolfinx_feti.workshop.checks import check_law, compare_with_bound, random_states
 
 pytestmark = pytest.mark.serial
 
@@ -213,7 +213,7 @@ def test_jump_of_the_tangent(psi, jump, kappa):
 @pytest.mark.parametrize("warn", ["", "soft"])
 def test_nan_does_not_pass(warn):
     F = np.eye(3)[None].repeat(2, axis=0)
-    found = judge("property", np.array([0.0, np.nan]), 1.0, F, warn=warn)
+    found = compare_with_bound("property", np.array([0.0, np.nan]), 1.0, F, warn=warn)
     assert found.outcome == "fail" and found.note.startswith("no number; at F = ")
 
 
