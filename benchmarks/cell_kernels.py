@@ -194,6 +194,7 @@ def _fields(records: Sequence[Record]) -> Fields:
         for code in CODES:
             record = by_code[code]
             row: dict[str, Any] = {"element": element, "code": code, "dofs": record["dofs"]}
+            row["sources"] = [record]
             row["compile_s"] = record["seconds_compile"]
             for name in ("tangent", "residual", "energy", "blocks"):
                 row[f"{name}_ms"] = 1e3 * record[f"seconds_{name}"]

@@ -167,7 +167,9 @@ def _fields(records: Sequence[Record]) -> dict[str, object]:
         "errors": section(_errors(own)),
         "larger": section(row for mine in growing if len(mine) > 1 for row in _growth(mine)),
         "fits": section(
-            mine[0] | dict(zip(("a", "b", "off"), fit_growth(mine), strict=True))
+            mine[0]
+            | {"sources": mine}
+            | dict(zip(("a", "b", "off"), fit_growth(mine), strict=True))
             for mine in growing
             if len(mine) > 2
         ),
@@ -199,7 +201,10 @@ def _papers(own: Sequence[Record], degree: int, kinds: Iterable[str]) -> Iterato
     for kind in kinds:
         mine = [r for r in own if (r["degree"], r["type"]) == (degree, kind)]
         by_level = [of_level for _, of_level in groups(mine, "level")]
-        rows = [of_level[0] | {r["pc"]: _solve(r) for r in of_level} for of_level in by_level]
+        rows = [
+            of_level[0] | {"sources": of_level} | {r["pc"]: _solve(r) for r in of_level}
+            for of_level in by_level
+        ]
         yield from section(rows, name=TYPES[kind])
 
 
@@ -230,13 +235,14 @@ def _errors(records: Sequence[Record]) -> Iterator[dict[str, object]]:
 def _growth(mine: Sequence[Record]) -> Iterator[Record]:
     """Condition numbers and iterations with the Dirichlet preconditioner over H/h."""
     for what, name, form in (("κ", "condition_number", ".4g"), ("it.", "iterations", "d")):
-        yield mine[0] | {"what": what, "at": {r["level"]: f"{r[name]:{form}}" for r in mine}}
+        at = {r["level"]: f"{r[name]:{form}}" for r in mine}
+        yield mine[0] | {"what": what, "at": at, "sources": mine}
 
 
 def _jumping(mine: Sequence[Record]) -> Record:
     """Iterations and condition numbers over the jump."""
     at = {f"{r['jump']:.0e}": f"{r['iterations']} ({r['condition_number']:.3g})" for r in mine}
-    return mine[-1] | {"at": at}
+    return mine[-1] | {"at": at, "sources": mine}
 
 
 def fit_growth(records: Sequence[Record]) -> tuple[float, float, float]:

@@ -198,7 +198,7 @@ def _rows(records: Sequence[Record]) -> list[dict[str, Any]]:
     """Return a row for each material: the least seconds of all edits, and their quotients."""
     rows = []
     for (material,), mine in groups(records, "material"):
-        row: dict[str, Any] = {"material": material}
+        row: dict[str, Any] = {"material": material, "sources": mine}
         for (given,), same in groups(mine, "given"):
             for name in ("first", "again"):
                 row[f"{given}_{name}"] = least = min(float(str(r[name])) for r in same)

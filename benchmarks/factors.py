@@ -221,6 +221,7 @@ def _fields(records: Sequence[Record]) -> Fields:
             row[f"{name}_ms"] = 1e3 * own[f"seconds_{name}"]
             row[f"{name}_mumps_ms"] = 1e3 * mumps[f"seconds_{name}"]
             row[f"{name}_gain"] = mumps[f"seconds_{name}"] / own[f"seconds_{name}"]
+        row["sources"] = same
         row["mib"] = own["mib"]
         row["mib_mumps"] = mumps["mib"]
         rows.append(row)

@@ -190,6 +190,7 @@ def _summary(steps: Sequence[Record]) -> dict[str, object]:
     seconds = every["seconds"]
     return steps[-1] | {
         "variant": _variant(steps[0]),
+        "sources": steps,
         "load_steps": len(steps),
         "newton": sum(every["newton_iterations"]),
         "linear": sum(every["linear_iterations"]),

@@ -159,7 +159,8 @@ def _newton_step(records: Sequence[Record]) -> dict[str, object]:
     rows = []
     for (kind, kappa, pc), mine in groups(records, "type", "kappa", "pc"):
         place = list(TYPES).index(kind), kappa, PRECONDITIONERS.index(pc)
-        row = _named(mine[0]) | {"place": place} | {str(r["choices"]): _cells(r) for r in mine}
+        row = _named(mine[0]) | {"place": place, "sources": mine}
+        row |= {str(r["choices"]): _cells(r) for r in mine}
         if theirs := _papers(mine[0]):
             its, row["their_seconds"] = theirs
             row["their_its"] = FORMS["count"](its) if its else "> 10 000"
@@ -182,6 +183,7 @@ def _compared(records: Sequence[Record], *names: str) -> Iterator[Record]:
         ratios = [r["linear_iterations_mean"] / _papers(r)[0] for r in mine]
         more = sum(ratio > 1 for ratio in ratios)
         found = {"least": min(ratios), "most": max(ratios), "more": more, "of": len(ratios)}
+        found["sources"] = mine
         yield _named(mine[0]) | found
 
 
@@ -212,7 +214,7 @@ def _contacts(records: Sequence[Record]) -> Iterator[Record]:
     touched = [r for r in records if r["contact"] != "whole"]
     names = ("geometry", "degree", "kappa", "pc", "choices", "type")
     for _, mine in sorted(groups(touched, *names), key=lambda item: item[0]):
-        yield _named(mine[0]) | {str(r["contact"]): _cells(r) for r in mine}
+        yield _named(mine[0]) | {"sources": mine} | {str(r["contact"]): _cells(r) for r in mine}
 
 
 def _is_known(record: Record) -> bool:

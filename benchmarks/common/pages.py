@@ -15,14 +15,17 @@ level::
     | --: | --: |
     | {solver} | {seconds:.2f} | <!-- rows -->
 
-A table of more than :data:`MAX_ROWS` rows, or :data:`MAX_CELLS` cells, is folded: the page shows a
-line that opens it. Each number on a page comes from a record.
+Below each table is a line with days, commits and processors of its records. They are those of an
+entry's field ``sources``, or the entry itself if it has the machine or the date of a record, or
+else the page's field ``records``. A table of more than :data:`MAX_ROWS` rows, or :data:`MAX_CELLS`
+cells, is folded: the page shows a line that opens it. Each number on a page comes from a record.
 """
 
 from __future__ import annotations
 
 import re
 import string
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -31,7 +34,14 @@ from benchmarks.common.records import Record
 Fields = Mapping[str, Any]
 
 MARK = re.compile(r" *<!-- (\w+) -->$")
-TABLE = re.compile(r"(?:^\|.*\n)+", re.M)
+#: A table, with the line of its records.
+TABLE = re.compile(r"((?:^\|.*\n)+)(\n\*Records? of .*\*\n)?", re.M)
+
+#: More commits than these are counted.
+MAX_COMMITS = 3
+
+#: Stands for the end of a text.
+END = "<!-- end -->"
 
 #: Largest numbers of rows and of cells of a table that is shown open: about half a screen.
 MAX_ROWS = 8
@@ -83,16 +93,55 @@ def fold_tables(text: str) -> str:
     """
 
     def fold(found: re.Match[str]) -> str:
-        table = found[0]
+        table, origin = found.groups("")
         lines = table.splitlines()
         columns = len(lines[0].strip("| ").split(" | "))
         rows = len(lines) - 2  # without the heading and the line below it
         if rows <= MAX_ROWS and rows * columns <= MAX_CELLS:
-            return table
+            return found[0]
         number = f"{rows} row{'s' if rows > 1 else ''}"
-        return f"<details>\n<summary>Table of {number}</summary>\n\n{table}\n</details>\n"
+        return f"<details>\n<summary>Table of {number}</summary>\n\n{table}{origin}\n</details>\n"
 
     return TABLE.sub(fold, text)
+
+
+def origin(records: Sequence[Record]) -> str:
+    """Return a line with days, commits and processors of the records of a table; empty for none.
+
+    If the records are of different days, the line has the number of records of each.
+    """
+    if not records:
+        return ""
+    days = Counter(str(record["date"])[:10] if "date" in record else "" for record in records)
+    named = [f"{day or 'unknown date'} ({number})" for day, number in sorted(days.items())]
+    if len(days) == 1:
+        (day,) = days
+        named = [day or "unknown date"]
+    parts = [f"different days: {', '.join(named)}" if len(days) > 1 else named[0]]
+    commits = list(dict.fromkeys(str(r["commit"]) for r in records if r.get("commit")))
+    if not commits:
+        parts.append("commit not recorded")
+    elif len(commits) > MAX_COMMITS:
+        parts.append(f"{len(commits)} commits, {commits[0]} to {commits[-1]}")
+    else:
+        parts.append(f"commit{'s' if len(commits) > 1 else ''} {', '.join(commits)}")
+    if any(commit.endswith("+") for commit in commits):
+        parts[-1] += " (+ with uncommitted changes)"
+    if commits and not all(record.get("commit") for record in records):
+        parts.append("commit of some not recorded")
+    machines = (record["machine"] for record in records if "machine" in record)
+    processors = list(dict.fromkeys(str(machine["processor"]) for machine in machines))
+    parts.append(" and ".join(processors) or "machine not recorded")
+    return f"*Record{'s' if len(records) > 1 else ''} of {'; '.join(parts)}.*"
+
+
+def _sources(entry: Fields, fields: Fields) -> Sequence[Record]:
+    """Return the records that an entry of a table comes from."""
+    if "sources" in entry:
+        return entry["sources"]
+    if "machine" in entry or "date" in entry:
+        return [entry]
+    return fields.get("records", [])
 
 
 def provenance(records: Sequence[Record]) -> dict[str, object]:
@@ -104,6 +153,7 @@ def provenance(records: Sequence[Record]) -> dict[str, object]:
     )
     dates = sorted(str(record["date"])[:10] for record in records if "date" in record)
     return {
+        "records": records,
         "machines": [{"machine": machine} for machine in machines],
         "cases": len(records),
         "first": dates[0] if dates else None,
@@ -121,12 +171,21 @@ def _sections(template: str) -> Iterator[tuple[str, str | None]]:
 
 def _lines(text: str, fields: Fields) -> str:
     """Fill the lines of a section."""
-    lines = []
-    for line in text.splitlines():
+    lines: list[str] = []
+    of_table: dict[int, Record] = {}  # the records of the present table, by their identity
+    for line in (*text.splitlines(), END):
+        if not line.startswith("|") and of_table:
+            lines += ["", origin(list(of_table.values()))]
+            of_table = {}
+        if line == END:
+            break
         mark = MARK.search(line)
         entries = [{}] if mark is None else fields[mark[1]]
         line = line if mark is None else line[: mark.start()]
         lines += [_FORMATTER.vformat(line, (), {**fields, **each}) for each in entries]
+        if line.startswith("|") and mark is not None:
+            sources = [record for each in entries for record in _sources(each, fields)]
+            of_table |= {id(record): record for record in sources}
     return "\n".join(lines) + "\n"
 
 

@@ -17,7 +17,7 @@ from collective import COMM, agree, raises
 from wall_files import on_first
 
 from benchmarks import compare, cube, nonlinear, scaling, verification
-from benchmarks.common import command
+from benchmarks.common import command, pages
 from benchmarks.common import records as module
 from benchmarks.common.records import Records
 from benchmarks.common.study import Study
@@ -105,6 +105,46 @@ def squares(run=square, **changes: object) -> Study:
         fields=rows,
         **changes,
     )
+
+
+EPYC = {"processor": "2 × AMD EPYC"}
+MONDAY = {"date": "2026-01-05T01:02:03+00:00", "machine": EPYC, "commit": "abc"}
+TUESDAY = {"date": "2026-01-06T01:02:03+00:00", "machine": EPYC}
+ROWS = "| n |\n| --: |\n| {n} | <!-- rows -->\n\nThe end.\n"
+
+
+@pytest.mark.serial
+@pytest.mark.parametrize(
+    ("rows", "line"),
+    [
+        ([MONDAY], "*Record of 2026-01-05; commit abc; 2 × AMD EPYC.*"),
+        ([MONDAY, MONDAY], "*Records of 2026-01-05; commit abc; 2 × AMD EPYC.*"),
+        (
+            [MONDAY, TUESDAY, dict(TUESDAY)],
+            "*Records of different days: 2026-01-05 (1), 2026-01-06 (2); commit abc; commit of "
+            "some not recorded; 2 × AMD EPYC.*",
+        ),
+        ([{"sources": [TUESDAY]}], "*Record of 2026-01-06; commit not recorded; 2 × AMD EPYC.*"),
+        ([{"n": 1}], "*Record of 2026-01-05; commit abc; 2 × AMD EPYC.*"),  # that of the page
+        (
+            [{"sources": [MONDAY | {"commit": "de+", "machine": {"processor": "ARM"}}, MONDAY]}],
+            "*Records of 2026-01-05; commits de+, abc (+ with uncommitted changes); ARM and "
+            "2 × AMD EPYC.*",
+        ),
+        (
+            [{"sources": [{"n": 1}]}],
+            "*Record of unknown date; commit not recorded; machine not recorded.*",
+        ),
+    ],
+)
+def test_line_below_a_table_names_its_records(rows, line):
+    """Each record counts once, and a folded table has the line inside."""
+    distinct = [row if "sources" in row else dict(row) for row in rows]
+    text = pages.fill(ROWS, {"rows": distinct, "records": [MONDAY]})
+    agree(text.endswith(f"|\n\n{line}\n\nThe end.\n"), text)
+    folded = pages.fold_tables(pages.fill(ROWS, {"rows": distinct * 9, "records": [MONDAY]}))
+    agree(folded.startswith("<details>") and folded.count("*Record") == 1, folded)
+    agree(folded.endswith(".*\n\n</details>\n\nThe end.\n"), folded)
 
 
 def test_cases_are_listed(capsys):

@@ -153,7 +153,9 @@ def _against_the_best(case: Sequence[Record]) -> dict[str, object] | None:
     direct = _best(case, *DIRECT)
     its = {f"its_{k}": v for k, v in _row(other).items()}
     memory = None if direct is None else _ratios(feti, direct)["memory_ratio"]
-    return _row(feti) | its | _ratios(feti, other) | {"memory_ratio": memory}
+    sources = [record for record in (feti, other, direct) if record is not None]
+    more = {"memory_ratio": memory, "sources": sources}
+    return _row(feti) | its | _ratios(feti, other) | more
 
 
 def seconds(record: Record) -> float:
@@ -204,6 +206,7 @@ def _formulations(case: Sequence[Record]) -> dict[str, object]:
     best = {"primal": _best(case, "feti"), "dual": _best(case, "feti-dual")}
     best["other"] = _best(case, *(name for name in OPPONENTS if name not in ("feti", "feti-dual")))
     row: dict[str, object] = dict(_row(case[0]))
+    row["sources"] = [record for record in best.values() if record is not None]
     for which, record in best.items():
         found = dict.fromkeys(("iterations", "spread", "peak_mib", "name"))
         row |= {f"{which}_{k}": v for k, v in (found if record is None else _row(record)).items()}
@@ -236,7 +239,7 @@ def _growth(first: Sequence[Sequence[Record]]) -> Iterator[dict[str, object]]:
         for high in rest:
             its = {"low_its": low["iterations"], "high_its": high["iterations"]}
             its["quotient"] = its["high_its"] / its["low_its"]
-            yield _row(low) | its | {"high": high["kappa"]}
+            yield _row(low) | its | {"high": high["kappa"], "sources": [low, high]}
 
 
 def _whole(record: Record) -> float:
@@ -263,7 +266,7 @@ def _subdomains(records: Sequence[Record]) -> list[dict[str, object]]:
         place = (processes, ORDER[geometry], degree, wanted)
         at = {int(r["per"]): f"{r['seconds_cpu'] / least:.2f}" for r in mine}
         ends = {"fewest": min(its, default=None), "most": max(its, default=None)}
-        rows.append(mine[0] | ends | {"place": place, "at": at})
+        rows.append(mine[0] | ends | {"place": place, "at": at, "sources": mine})
     return sorted(rows, key=lambda row: row["place"])
 
 

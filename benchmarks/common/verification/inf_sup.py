@@ -78,7 +78,8 @@ def fields(records: Sequence[Record]) -> Fields:
     rows = {}
     for (pair,), mine in groups(records, "pair"):
         at = {int(r["cells"]): f"{r['beta']:.3f}" for r in mine}
-        rows[pair] = {"name": PAIRS[pair][0], "most": max(r["spurious"] for r in mine), "at": at}
+        most = max(r["spurious"] for r in mine)
+        rows[pair] = {"name": PAIRS[pair][0], "most": most, "at": at, "sources": mine}
     return {"pairs": [rows[pair] for pair in PAIRS if pair in rows]}
 
 

@@ -99,13 +99,15 @@ def fields(records: Sequence[Record]) -> Fields:
             for key, quantity in case.quantities.items():
                 value, mumps = (record[by][key] for by in ("values", "mumps"))
                 row = {"mesh": record["mesh"], "quantity": quantity.name, "value": value}
-                rows.append(cost | row | {"mumps": mumps, "apart": abs(mumps / value - 1)})
+                compared = {"mumps": mumps, "apart": abs(mumps / value - 1), "sources": [record]}
+                rows.append(cost | row | compared)
                 cost = {}
         sections.append(about | {"rows": rows})
         judged = next((r for r in meshes if r["mesh"] == case.judged), meshes[-1])
         for key, quantity in case.quantities.items():
             value = judged["values"][key]
             ours = {"value": value, "holds": quantity.low <= value <= quantity.high}
+            ours["sources"] = [judged]
             summary.append(asdict(quantity) | about | {"quantity": quantity.name} | ours)
     return {"cases": sections, "quantities": summary}
 

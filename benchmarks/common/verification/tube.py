@@ -115,11 +115,11 @@ def fields(records: Sequence[Record]) -> Fields:
         more = {"way": name, "style": style}
         if record["augmented"]:
             more = {"way": f"{name}, λ", "style": style | {"ls": ":"}}
-        rows.append(record | more)
+        rows.append(record | more | {"sources": [record]})
     order = list(WAYS)
     rows.sort(key=lambda r: (order.index(r["element"]), r["augmented"], -r["size"]))
     kappas = [
-        {**record, "way": WAYS[str(record["element"])][0]}
+        {**record, "way": WAYS[str(record["element"])][0], "sources": [record]}
         for record in records
         if record["pressure_mmhg"] == ARTERIAL and not record["augmented"]
     ]
