@@ -6,9 +6,10 @@
 
     python3 scripts/demo_pages.py
 
-writes into `docs/demos/`, for every `demos/demo_*.py`, the executed notebook, which is the page and
-the notebook to take away; the script; and a thumbnail, the last picture in the notebook's output.
-`docs/demos/index.md` is the gallery. None of it is kept in the repository.
+writes into `docs/demos/`, for every `demos/demo_*.py`, the executed notebook, which is the page; in
+`docs/demos/downloads/` the same notebook without the links of the page, and the script; and a
+thumbnail, the last picture in the notebook's output. `docs/demos/index.md` is the gallery. None of
+it is kept in the repository.
 
 A demo that fails ends the build with its traceback. One that ran with the same files and the same
 version of dolfinx is not executed again.
@@ -39,6 +40,7 @@ import dolfinx
 ROOT = Path(__file__).resolve().parents[1]
 DEMOS = ROOT / "demos"
 PAGES = ROOT / "docs/demos"
+DOWNLOADS = PAGES / "downloads"
 RUNS = ROOT / "build/demos"
 TIMEOUT = 600  # of a cell [s]
 WIDTH = 640  # of a thumbnail
@@ -108,14 +110,14 @@ def main() -> int:
     listed = {page.name for page in GALLERY}
     if demos != listed:
         sys.exit(f"demo_pages: GALLERY and demos/ differ in {sorted(demos ^ listed)}")
-    PAGES.mkdir(exist_ok=True)
+    DOWNLOADS.mkdir(parents=True, exist_ok=True)
     begin = time.perf_counter()
     for page in GALLERY:
         notebook = PAGES / f"{page.name}.ipynb"
         state = fingerprint(page)
         if not up_to_date(notebook, state):
             write_page(page, notebook, state)
-    for path in PAGES.iterdir():  # of demos that are gone
+    for path in (*PAGES.iterdir(), *DOWNLOADS.iterdir()):  # of demos that are gone
         if path.suffix in (".ipynb", ".py", ".png") and path.stem not in listed:
             path.unlink()
     (PAGES / "index.md").write_text(gallery(), encoding="utf-8")
@@ -145,13 +147,14 @@ def write_page(page: Page, path: Path, state: str) -> None:
     begin = time.perf_counter()
     notebook = executed(page)
     seconds = time.perf_counter() - begin
+    nbformat.write(notebook, DOWNLOADS / path.name)
+    shutil.copy(DEMOS / f"{page.name}.py", DOWNLOADS)
     notebook.metadata["fingerprint"] = state
-    notebook.cells[0].source += "\n\n" + take_away(page, seconds)
+    notebook.cells[0].source += "\n\n" + downloads(page, seconds)
     picture = last_picture(notebook)
     if picture is None:
         sys.exit(f"demo_pages: {page.name} shows no picture, and the gallery needs one")
     thumbnail(picture).save(path.with_suffix(".png"))
-    shutil.copy(DEMOS / f"{page.name}.py", PAGES)
     nbformat.write(notebook, path)
     print(f"demo_pages: {page.name}, {seconds:.0f} s", flush=True)
 
@@ -196,7 +199,7 @@ def coarsen(notebook: NotebookNode, page: Page) -> None:
             lines += n
     if lines != 1:
         sys.exit(f"demo_pages: {page.name} has {lines} lines `size = …`, and one is needed")
-    note = f"On this page `size` is {page.size}: the mesh is coarser than that of the script."
+    note = f"In this notebook `size` is {page.size}: the mesh is coarser than that of the script."
     notebook.cells[0].source += f"\n\n{note}"
 
 
@@ -219,12 +222,12 @@ def tidy(cell: NotebookNode) -> None:
         cell.outputs = joined
 
 
-def take_away(page: Page, seconds: float) -> str:
-    """Return the lines below the title: what can be taken away, and how long it took."""
-    text = f"[Script](./{page.name}.py) · [notebook](./{page.name}.ipynb)"
-    text = re.sub(r"\[(\w+)\]\(\./([\w.]+)\)", r"{download}`\1 <\2>`", text)
-    text += f" · executed in {seconds:.0f} s on one process, dolfinx {dolfinx.__version__}"
-    return text
+def downloads(page: Page, seconds: float) -> str:
+    """Return the line below the title: what can be downloaded, and how long the demo took."""
+    script = f"{{download}}`Script <./downloads/{page.name}.py>`"
+    notebook = f"{{download}}`notebook <./downloads/{page.name}.ipynb>`"
+    took = f"executed in {seconds:.0f} s on one process, dolfinx {dolfinx.__version__}"
+    return f"{script} · {notebook} · {took}"
 
 
 def last_picture(notebook: NotebookNode) -> bytes | None:
