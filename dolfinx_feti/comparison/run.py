@@ -231,6 +231,13 @@ def compare(
     The state does not change; the problem's matrix is assembled again. Each solver is set up from
     scratch, and all iterative ones have the relative tolerance of the problem's FETI.
 
+    Example::
+
+        problem = LinearProblem(a, L, bcs=bcs, subdomains=4)
+        comparison = compare(problem, ["feti", "mumps"])
+        print(comparison)  # a table
+        print(comparison.results[1].difference_to_direct)
+
     Args:
         problem: The problem.
         solvers: Names from :data:`~dolfinx_feti.comparison.solvers.SOLVERS`, or a dict of names and

@@ -91,11 +91,13 @@ class Contact:
 
     Example::
 
-        radius = dolfinx.fem.Constant(mesh, 1.0)
+        from dolfinx_feti.contact import cylinder
+
+        radius = dolfinx.fem.Constant(mesh, 0.72)  # the lumen's is 0.71
         contact = Contact(u, ds(lumen), cylinder(axis=(0, 0, 1), radius=radius))
         problem = NonlinearProblem(energy, u, bcs=bcs, contacts=[contact])
         problem.solve()
-        contact.force(), contact.penetration()
+        print(contact.force(), contact.penetration())
 
     Attributes:
         u: The displacement.

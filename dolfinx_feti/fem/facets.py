@@ -86,9 +86,10 @@ def one_side(
 
     Example::
 
+        mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_WORLD, 4, 4, 4)
         membrane = dolfinx.mesh.locate_entities(mesh, 2, lambda x: np.isclose(x[0], 0.5))
         ds = ufl.Measure("ds", mesh, subdomain_data=[(1, one_side(mesh, membrane))])
-        a += k * ufl.inner(u, v) * ds(1)
+        area = dolfinx.fem.assemble_scalar(dolfinx.fem.form(1.0 * ds(1)))  # of this process
 
     List all surfaces of a form in one ``subdomain_data``, each with a number, also those on the
     boundary: in UFL, ds without a number is an integral over all surfaces of the list. Normals

@@ -77,6 +77,19 @@ class FETI:
 
     All properties are results of the last set-up or solve.
 
+    Example::
+
+        problem = LinearProblem(a, L, bcs=bcs, subdomains=4)
+        A, b = problem.linear_system()  # they belong to the problem
+        ksp = PETSc.KSP().create(mesh.comm)
+        ksp.setType("python")
+        ksp.setPythonContext(FETI())
+        ksp.setOperators(A)
+        ksp.setFromOptions()
+        x = A.createVecRight()
+        ksp.solve(b, x)
+        print(ksp.getPythonContext().report().subdomains)
+
     Attributes:
         message: Why the last set-up or solve failed and what helps. It is empty after a success,
             and if a solve was refused because the matrix is indefinite (``SolveSettings``).

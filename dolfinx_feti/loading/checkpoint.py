@@ -53,8 +53,14 @@ class Checkpoint:
 
     Example::
 
-        checkpoint = Checkpoint("run", mesh.comm, parameters={"kappa": 1e3}, restart=True)
-        follow_load(problem, set_load, [300.0], steps, state=[u, p], checkpoint=checkpoint)
+        problem = NonlinearProblem(energy, u, bcs=bcs)
+        steps = Steps(first=0.2, least=0.01)
+        checkpoint = Checkpoint("run", mesh.comm, parameters={"kappa": 100.0})
+        follow_load(problem, set_load, [0.4], steps, checkpoint=checkpoint)
+
+        # in another run of the program
+        checkpoint = Checkpoint("run", mesh.comm, parameters={"kappa": 100.0}, restart=True)
+        follow_load(problem, set_load, [0.4, 0.5], steps, checkpoint=checkpoint)
 
     Attributes:
         folder: The folder; its file is ``state.npz``.

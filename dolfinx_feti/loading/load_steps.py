@@ -79,6 +79,12 @@ def follow_load(
     A :class:`~dolfinx_feti.loading.motion.Motion` in the forms is stopped: inertia and velocities
     are zero on the path.
 
+    Example::
+
+        problem = NonlinearProblem(energy, u, bcs=bcs)
+        steps = Steps(first=0.1, least=0.01)
+        follow_load(problem, set_load, [0.2, 0.5], steps, unit="kPa")
+
     Args:
         problem: The nonlinear problem, in equilibrium at the load ``start``.
         set_load: Sets the load in the user's forms.

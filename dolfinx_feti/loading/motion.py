@@ -133,9 +133,12 @@ class Motion:
 
     Example::
 
+        from dolfinx_feti.loading import TimeSteps, follow_time
+
         motion = Motion(u, density=1e-6)  # kg/mm³, with mm, kPa and s
         problem = NonlinearProblem(energy + motion.inertia, u, bcs=bcs)
-        follow_time(problem, motion, set_time, [0.1], TimeSteps(first=1e-3, least=1e-5), state=[u])
+        steps = TimeSteps(first=1e-3, least=1e-5)
+        follow_time(problem, motion, lambda time: set_load(100.0 * time), [2e-3], steps)
 
     Attributes:
         u: The displacement.

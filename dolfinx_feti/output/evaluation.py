@@ -56,7 +56,7 @@ def evaluate(expression: Expr, points: npt.ArrayLike) -> Array:
     Example::
 
         stress = kinematics.cauchy_stress(psi, F)
-        print(evaluate(stress, [0.0, 10.5, 40.0]))  # (3, 3)
+        print(evaluate(stress, mesh.geometry.x[0]))  # (3, 3)
 
     Args:
         expression: The Function or expression, of any shape.

@@ -50,9 +50,12 @@ class FieldWriter:
 
     Example::
 
-        with FieldWriter(folder / "wall", [u, layers], {"stress": stress}) as writer:
-            for load in loads:
-                …
+        problem = NonlinearProblem(energy, u, bcs=bcs)
+        stress = kinematics.cauchy_stress(psi, F)
+        with FieldWriter("wall", [u], {"stress": stress}) as writer:
+            for load in (0.1, 0.2):
+                set_load(load)
+                problem.solve()
                 writer.write(load)
 
     Attributes:

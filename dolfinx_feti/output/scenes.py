@@ -71,7 +71,9 @@ def write_scene(
 
     Example::
 
-        scenes.write_scene("bent.html", pictures.field(u, "displacement [mm]", displacement=u))
+        from dolfinx_feti.output import pictures
+
+        write_scene("bent.html", pictures.field(u, "displacement [mm]", displacement=u))
 
     Args:
         path: The file; its folder is created.

@@ -40,6 +40,13 @@ def recovered_field(
 ) -> dolfinx.fem.Function:
     """Recover a field, such as a stress or the element-wise pressure, from its values in the cells.
 
+    Example::
+
+        from dolfinx_feti.output import create_patches
+
+        stress = kinematics.cauchy_stress(psi, F)
+        recovered = recovered_field(stress, create_patches(mesh, wall.cell_tags))
+
     Args:
         expression: The field; a stress in full, with its pressure part.
         patches: Patches of its mesh, see :func:`~dolfinx_feti.output.patches.create_patches`.

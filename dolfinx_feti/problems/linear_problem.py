@@ -61,9 +61,9 @@ class LinearProblem(TornProblem):
 
     Example::
 
-        problem = dolfinx_feti.LinearProblem(
-            a, L, bcs=[bc], subdomains=64, petsc_options_prefix="cube_",
-            petsc_options={"feti_type": "all_floating", "feti_pc_type": "dirichlet"},
+        problem = LinearProblem(
+            a, L, bcs=bcs, subdomains=4, petsc_options_prefix="tube_",
+            petsc_options={"feti_type": "all_floating", "ksp_rtol": 1e-10},
         )
         u = problem.solve()
 

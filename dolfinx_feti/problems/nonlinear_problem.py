@@ -79,10 +79,13 @@ class NonlinearProblem(TornProblem):
 
     Example::
 
-        problem = dolfinx_feti.NonlinearProblem(
-            [F_u, F_p], u, bcs=bcs, condense=p, subdomains=64, petsc_options_prefix="artery_",
-            petsc_options={"feti_type": "all_floating", "snes_monitor": None},
+        p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
+        psi += materials.perturbed_lagrangian(J, p, kappa=1e3)
+        problem = NonlinearProblem(
+            psi * ufl.dx + pressure * ufl.inner(N, u) * ds(lumen), u, bcs=bcs, condense=p,
+            subdomains=4, petsc_options_prefix="artery_", petsc_options={"snes_rtol": 1e-10},
         )
+        pressure.value = 0.2  # kPa
         problem.solve()
 
     Attributes:

@@ -284,6 +284,12 @@ class TornProblem:
         The system is assembled anew and solved once more, by another solver with the same options.
         PETSc's logging is begun, if necessary, for the times. ``print`` the diagnosis, or read its
         ``records``.
+
+        Example::
+
+            problem = LinearProblem(a, L, bcs=bcs, subdomains=4)
+            problem.solve()
+            print(problem.diagnose())
         """
         volumes = self.cell_volumes()
         return diagnose(

@@ -33,7 +33,8 @@ class ArcLength(Coupling):
 
         arc = ArcLength(u, pressure)
         problem = NonlinearProblem(energy, u, bcs=bcs, scalars=[arc])
-        follow_load(problem, lambda s: None, [5.0], Steps(first=0.1, least=1e-3), state=[u])
+        follow_load(problem, lambda s: None, [0.2], Steps(first=0.1, least=1e-3))
+        print(pressure.value)
 
     Attributes:
         load: λ, a constant in the residual.

@@ -34,10 +34,11 @@ class Cavity(Coupling):
 
     Example::
 
-        cavity = Cavity(u, ds(lumen), volume=1.2 * initial)
-        problem = NonlinearProblem(F, u, bcs=bcs, scalars=[cavity])
+        cavity = Cavity(u, ds(lumen), volume=1.0, axis=(0, 0, 1))
+        cavity.volume.value = 1.05 * cavity.present_volume()
+        problem = NonlinearProblem(energy, u, bcs=bcs, scalars=[cavity])
         problem.solve()
-        cavity.pressure.value, cavity.present_volume()
+        print(cavity.pressure.value, cavity.present_volume())
 
     Attributes:
         u: The displacement.

@@ -32,10 +32,11 @@ class Windkessel(Coupling):
 
     Example::
 
-        cavity = Cavity(u, ds(lumen), axis=(0, 0, 1), pressure=10.0)
-        windkessel = Windkessel(cavity, resistance=R, compliance=C, impedance=Z)
-        problem = NonlinearProblem(F, u, bcs=bcs, scalars=[windkessel])
-        follow_load(problem, set_inflow, times, steps, state=[u])
+        cavity = Cavity(u, ds(lumen), axis=(0, 0, 1))
+        windkessel = Windkessel(cavity, resistance=1.0, compliance=0.1, impedance=0.05)
+        problem = NonlinearProblem(energy, u, bcs=bcs, scalars=[windkessel])
+        windkessel.inflow.value = 1.0  # mm³/s
+        follow_load(problem, lambda time: None, [0.2], Steps(first=0.1, least=1e-3))
 
     Attributes:
         cavity: The cavity; its pressure p is the unknown.

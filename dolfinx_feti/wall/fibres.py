@@ -178,6 +178,13 @@ def fibre_families(
 ) -> tuple[dolfinx.fem.Function, dolfinx.fem.Function]:
     """Return the directions of the two fibre families, cos α ê₀ ± sin α ê₁.
 
+    Example::
+
+        a1, a2 = fibre_families(wall, fibre_frame(wall), {"media": 29.0, "adventitia": 62.0})
+        psi = materials.holzapfel_gasser_ogden(
+            kinematics.right_cauchy_green(F), a1, a2, c=3.0, k1=2.3632, k2=0.8393, J=J
+        )
+
     Args:
         wall: The wall.
         frame: Its frame, from :func:`fibre_frame`.

@@ -5,6 +5,8 @@
 
 Example::
 
+    from functools import partial
+
     psi = partial(materials.neo_hookean, c=3.0)  # any function of C and J, or of F
     material = compile_material(psi)  # incompressible
     print(check(material))

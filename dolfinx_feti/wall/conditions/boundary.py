@@ -135,6 +135,16 @@ def apply_conditions(
     numerically. If rims are free or on springs it has none, and the tangent is not symmetric
     (docs/conditions.md).
 
+    Example::
+
+        from dolfinx_feti.wall import Clamp, Pressure, Slide
+
+        conditions = {"lumen": Pressure(), "opening_1": Clamp(), "opening_2": Slide()}
+        boundary = apply_conditions(wall, u, conditions)
+        problem = NonlinearProblem(psi * ufl.dx, u, boundary=boundary)
+        boundary.set_pressure(0.2)  # kPa
+        problem.solve()
+
     Args:
         wall: The wall.
         u: Displacement [mm], a Function in a Lagrange space on its mesh.

@@ -18,7 +18,18 @@ __all__ = ["Pressure"]
 
 @dataclass(frozen=True, slots=True)
 class Pressure(Condition):
-    """A pressure that follows the deformed surface."""
+    """A pressure that follows the deformed surface.
+
+    Example::
+
+        from dolfinx_feti.wall import Clamp, apply_conditions
+
+        conditions = {"lumen": Pressure(), "opening_1": Clamp(), "opening_2": Clamp()}
+        boundary = apply_conditions(wall, u, conditions)
+        problem = NonlinearProblem(psi * ufl.dx, u, boundary=boundary)
+        boundary.set_pressure(0.2)  # kPa
+        problem.solve()
+    """
 
     share: float = 1.0  #: Share of the wall's pressure [-]; negative where it pulls
 
