@@ -3,18 +3,18 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Tools for MPI, PETSc, compiled code and the operating system, which do not depend on FETI.
 
-================  ===========================================================================
-of                files
-================  ===========================================================================
-all               ``arrays`` (types), ``compat`` (versions of dolfinx and PETSc)
-partitions        ``scotch``
-MPI               ``collective``, ``star_forest``; of distributed vectors: ``norms``,
-                  ``anderson`` (for fixed points in loading/ and problems/)
-PETSc             ``lifetime``, ``events``, ``petsc_errors``, ``petsc_library``,
-                  ``linear_map``, ``petsc_options``
-compiled code     ``native``
-operating system  ``folders``, ``cost``
-================  ===========================================================================
+===================  ==========================================================================
+tools for            files
+===================  ==========================================================================
+types, versions      ``arrays``, ``compat`` (dolfinx and PETSc)
+partitions           ``scotch``
+MPI                  ``collective``, ``star_forest``
+distributed vectors  ``norms``, ``anderson`` (fixed points in loading/ and problems/)
+PETSc                ``lifetime``, ``events``, ``petsc_errors``, ``petsc_library``,
+                     ``linear_map``, ``petsc_options``
+compiled code        ``native``
+operating system     ``folders``, ``cost``
+===================  ==========================================================================
 
 In the order of the data: arrays, compat, scotch, collective, star_forest, lifetime, events,
 norms, anderson, native, petsc_errors, petsc_library, linear_map, petsc_options, folders, cost.

@@ -21,11 +21,12 @@ import numpy as np
 
 from dolfinx_feti.runtime.arrays import Array
 
-#: Number of differences that are combined. A bound on memory: two vectors for each.
+#: Number of differences that are combined. A memory bound: two vectors for each.
 DEPTH = 20
 
-#: Eigenvalues of the normal equations below this share of the largest are rounding. They are
-#: squares of singular values of Δ𝓕: differences that combine others to 1e-6 are dropped.
+#: Largest eigenvalue of the normal equations, relative to the largest of all, that counts as
+#: rounding. Eigenvalues are squares of singular values of Δ𝓕: differences that depend on others to
+#: 1e-6 are dropped.
 EIGENVALUE_RTOL = 1e-12
 
 

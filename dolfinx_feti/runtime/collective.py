@@ -1,12 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Collective work: an error on one process is an error on all; sums, gathered arrays, warnings.
+"""Collective work: an error on one process is raised on all; sums, gathered arrays, warnings.
 
-MPI waits forever for a process that left a collective call by an error. So work that may fail on
-one process runs inside of :func:`on_all`, :func:`on_root` or :func:`on_root_only`, which exchange
-the errors, or, in an iteration, where that would cost a message, inside of
-:meth:`DeferredErrors.guard`.
+MPI waits forever for a process that has left a collective call because of an error. Work that may
+fail on one process therefore runs inside of :func:`on_all`, :func:`on_root` or
+:func:`on_root_only`, which exchange the errors. In an iteration that would cost a message: there
+:meth:`DeferredErrors.guard` is used.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def on_root(work: Callable[[], T], comm: MPI.Comm) -> T:
     """Do work on rank 0 and return its result on all processes. Collective.
 
     Args:
-        work: Not collective; its result is pickled to be sent.
+        work: Not collective; its result is pickled.
         comm: The processes.
 
     Raises:
@@ -58,8 +58,7 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
     """Do work on each process; raise on all processes if it fails on one. Collective.
 
     Args:
-        work: If it is collective itself, it has to fail before or after it waits for other
-            processes.
+        work: If it is collective, it must not fail while other processes wait for this one.
         comm: The processes.
 
     Returns:
@@ -84,8 +83,8 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
             errors[failed[0]].add_note(f"Raised on process {failed[0]} of {comm.size}.")
             raise errors[failed[0]]
     finally:
-        # The traceback refers to this frame. Without a cycle, PETSc objects that it refers to are
-        # freed at once, on all processes together.
+        # The traceback refers to this frame. Without the reference cycle, PETSc objects in the
+        # traceback are freed at once, on all processes together.
         del own_error, errors
     return result
 
@@ -93,10 +92,10 @@ def on_all(work: Callable[[], T], comm: MPI.Comm) -> T:
 class DeferredErrors:
     """Errors of local work between two collective calls of an iteration, to be raised later.
 
-    An error that left the iteration on one process would let the others wait in their next
-    collective call. So :meth:`guard` returns NaN in place of the result. The next sum over all
-    processes spreads the NaN, the iteration ends on all of them, and :meth:`raise_first`, inside of
-    :func:`on_all`, raises the error.
+    If an error left the iteration on one process, the others would hang in their next collective
+    call. Instead, :meth:`guard` returns NaN as the result. The next sum over all processes spreads
+    the NaN, the iteration ends on all of them, and :meth:`raise_first` raises the error inside of
+    :func:`on_all`.
     """
 
     def __init__(self) -> None:
@@ -106,8 +105,8 @@ class DeferredErrors:
         """Return the result of local work; NaN if it fails.
 
         Args:
-            work: Not collective. Any exception is caught, programming errors included, and raised
-                by the next :meth:`raise_first`.
+            work: Not collective. Every exception is caught, including programming errors, and
+                raised by the next :meth:`raise_first`.
             shape: Shape of the result.
         """
         try:
@@ -117,7 +116,7 @@ class DeferredErrors:
             return np.full(shape, np.nan)
 
     def raise_first(self) -> None:
-        """Raise the first error since the last call on this process and forget all. Not collective.
+        """Raise the first error on this process since the last call; forget all. Not collective.
 
         Raises:
             Exception: The error, if there is one.
@@ -140,7 +139,7 @@ def _picklable(error: BaseException) -> BaseException:
     """Return the error, or a RuntimeError with its message if it cannot be sent to others."""
     try:
         copy = pickle.loads(pickle.dumps(error))
-    except Exception:  # a class that cannot be pickled, or not be created from its arguments
+    except Exception:  # the class cannot be pickled, or not be created from its arguments
         copy = None
     return error if isinstance(copy, BaseException) else RuntimeError(error_message(error))
 

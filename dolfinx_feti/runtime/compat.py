@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Versions: that of this package, and differences between dolfinx 0.9, 0.10 and 0.11.
 
-Each dolfinx comes with another version of PETSc. The rest of the package calls these functions
-instead of looking at versions.
+Each version of dolfinx comes with another version of PETSc. Only this module compares versions; the
+rest of the package calls its functions.
 """
 
 from __future__ import annotations
@@ -86,8 +86,8 @@ def create_submesh(
 def facet_graph(topology: dolfinx.mesh.Topology, n_cells: int) -> scipy.sparse.csr_array:
     """Return which of the first ``n_cells`` cells share a facet, (n_cells, n_cells).
 
-    It is computed from the vertices of cells. The table of facets would be several tables for cells
-    with facets of two types, such as prisms, from 0.10 on.
+    The graph is computed from the vertices of the cells: from 0.10 on, cells with two types of
+    facets, such as prisms, have one table for each type.
     """
     vertices = topology.connectivity(topology.dim, 0)
     cells = vertices.array[: vertices.offsets[n_cells]].astype(np.int64)

@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The cost of a solver, time and memory, measured in the same way for all solvers.
 
-Memory is the peak of a process above its memory before the solver was created, when the matrix
-existed. So temporary memory of the set-up counts, too.
+Memory is the peak of a process above its memory with the assembled matrix, before the solver is
+created. Temporary memory of the set-up is included.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class PeakMemory:
     def mib(self, comm: MPI.Comm) -> float:
         """Return the sum of the peaks of all processes [MiB], NaN if unknown. Collective.
 
-        Where the peak could not be reset, it is that since the start of the process.
+        If the peak could not be reset, it is the peak since the start of the process.
         """
         return comm.allreduce(_memory_figure("VmHWM"))
 

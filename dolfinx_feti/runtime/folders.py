@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Check that folders and files can be written, before hours of computing."""
+"""Checks that output can be written, made before hours of computing."""
 
 from __future__ import annotations
 

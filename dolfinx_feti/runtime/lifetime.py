@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Owners that destroy PETSc objects explicitly, on all processes at the same place.
 
-PETSc destroys the objects of a communicator collectively. Python's garbage collector runs at other
-times on each process, so that whoever creates an object destroys it, or passes it to an owner.
+PETSc destroys objects collectively, but Python's garbage collector runs at another time on each
+process. The code that creates an object therefore destroys it, or passes it to an owner.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ T = TypeVar("T", bound=Any)
 
 
 class Lifetime(ExitStack):
-    """Owner of objects: destroys them, the last one first, at the end of ``with`` or by ``close``.
+    """Owner of objects, destroyed in reverse order at the end of ``with`` or by ``close``.
 
-    A function that creates several objects, and may fail after the first, passes them on at its
-    end, by ``pop_all`` or :meth:`release`; until then an error destroys them::
+    A function that creates several objects may fail after the first. A ``Lifetime`` destroys them
+    after an error. If all went well, the function passes them on by ``pop_all`` or
+    :meth:`release`::
 
         with Lifetime() as created:
             self.x = created.own(A.createVecRight())
@@ -33,5 +34,5 @@ class Lifetime(ExitStack):
         return petsc_object
 
     def release(self) -> None:
-        """Own nothing any more: another owner destroys the objects."""
+        """Give up the objects without destroying them: another owner does."""
         self.pop_all()

@@ -3,14 +3,14 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """C code of the package: compiled at first use, cached in a folder, loaded by cffi.
 
-FFCx treats the code that it generates for forms in the same way. Environment variables:
+FFCx handles the code that it generates for forms in the same way. Environment variables:
 
 - ``DOLFINX_FETI_CFLAGS``: further flags for the C compiler, which is that of FFCx (``CC``),
 - ``XDG_CACHE_HOME``: the cache is ``$XDG_CACHE_HOME/dolfinx_feti`` (``~/.cache/dolfinx_feti``
-  without that variable), or a folder for one run if that cannot be written.
+  without that variable), or a folder for this run only if that cannot be written.
 
 The name of a compiled file contains a hash of the code, the flags, and the versions of cffi and
-Python, so that a change of any of them compiles another file.
+Python. If one of them changes, the code is compiled to another file.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ from dolfinx_feti.runtime.collective import error_message, on_all, on_root
 #: Machines whose compilers know ``-march=native``.
 MACHINES = ("x86_64", "aarch64")
 
-#: Time after which a compilation is logged [s]: most files take less than one second, and a longer
-#: wait needs an explanation.
+#: Duration after which a compilation is logged [s]. Most files take less than one second; the user
+#: should know the reason of a longer wait.
 LOG_AFTER = 2.0
 
 logger = logging.getLogger("dolfinx_feti.compilation")
@@ -93,9 +93,9 @@ def load(
 ) -> Any:
     """Load a C file, which is compiled unless the cache has it. Collective.
 
-    The first process compiles. Another process compiles, too, if it has no access to the file of
-    the first, as on nodes without a common file system. A second call with the same communicator
-    returns without communication.
+    The first process compiles. Another process compiles as well if it cannot access the file of the
+    first, as on nodes without a common file system. A second call with the same communicator does
+    not communicate.
 
     Args:
         source: The file. Paths of its ``#include "…"`` are relative to its folder.
@@ -137,13 +137,13 @@ def load_with_header(source: Path, comm: MPI.Comm, *, flags: Sequence[str] = ("-
 
 @contextlib.contextmanager
 def logged_if_slow(what: str, where: object) -> Iterator[None]:
-    """Context of a compilation that logs it if it takes longer than :data:`LOG_AFTER`.
+    """Context that logs a compilation if it takes longer than :data:`LOG_AFTER`.
 
     Args:
         what: Name of the file that is compiled.
         where: Folder that caches the result.
     """
-    message = f"compiling {what}, which is kept for later runs in {where}"
+    message = f"compiling {what}, which is cached for later runs in {where}"
     timer = threading.Timer(LOG_AFTER, logger.warning, [message])
     timer.daemon = True
     timer.start()
@@ -156,8 +156,8 @@ def logged_if_slow(what: str, where: object) -> Iterator[None]:
 def processor_flags() -> list[str]:
     """Return compiler flags for the kind of processor of this process.
 
-    One of the flags is a hash of the kind of processor. It has no effect on the code, but makes the
-    names of the compiled files differ, so that machines of several kinds may share a cache.
+    One of the flags is a hash of the kind of processor. It does not affect the code, but the names
+    of the compiled files: machines of several kinds may share a cache.
 
     Returns:
         The flags; none if the kind of processor is not known.
@@ -175,8 +175,8 @@ def processor_flags() -> list[str]:
 def pointer(module: Any, array: npt.NDArray[Any], *, order: str = "C") -> Any:
     """Return a C pointer to the entries of an array.
 
-    The pointer keeps the array alive. A struct of C that contains the address does not: its creator
-    refers to the array until C has used the struct for the last time.
+    The pointer keeps the array alive, but a C struct that contains the pointer does not: its
+    creator has to keep the array until the last call of C with the struct.
 
     Args:
         module: The loaded module that uses the pointer.
@@ -274,15 +274,15 @@ def _read_code(source: Path, generated: str) -> str:
 
 
 def _compile(file: str, text: str, unit: _Unit) -> Path:
-    """Compile a file, unless it is in the cache, and return its path.
+    """Return the path of a compiled file; compile it unless it is in the cache.
 
     Several processes may compile the same file at once. Each compiles in a temporary folder, and
     moves the result into the cache, which is atomic.
 
     Args:
         file: Name of the compiled file.
-        text: Code.
-        unit: What else determines it.
+        text: Code, with all files that it includes.
+        unit: Declarations, flags, and the folder of the cache.
     """
     home = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     folder = unit.cache or home / "dolfinx_feti"
@@ -292,7 +292,7 @@ def _compile(file: str, text: str, unit: _Unit) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         work = _temporary_folder(folder)
     except OSError as error:
-        logger.info(f"compiled code is not kept: {error_message(error)}")
+        logger.info(f"compiled code is not cached: {error_message(error)}")
         folder = Path(_folder_of_run().name)
         work = _temporary_folder(folder)
     name = file.partition(".")[0]

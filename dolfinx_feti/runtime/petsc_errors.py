@@ -1,11 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Errors of Python that pass through PETSc: the original error is raised, not PETSc's code.
+"""Python errors that pass through PETSc: the original error is raised, not PETSc's error code.
 
 From Python 3.12 on, the cyclic garbage collector may run inside of petsc4py's error handler while
-an error is pending. The error is lost then, and petsc4py reads a null pointer. So the collector is
-paused while C code runs that may call Python, and resumed in the Python code that C calls::
+an error is pending. The error is then lost, and petsc4py reads a null pointer. The collector is
+therefore paused while C code runs that may call Python, and resumed in the Python code that C
+calls::
 
     with python_errors(snes):                       paused
         snes.solve(None, x)                         C
@@ -16,7 +17,7 @@ paused while C code runs that may call Python, and resumed in the Python code th
                 with python_errors():               paused
                     snes.monitor(…)                 C, calls a monitor of the user
 
-So the collector is paused while an error passes from Python code through C to Python code.
+With this, the collector is paused while an error passes from Python through C to Python.
 """
 
 from __future__ import annotations
@@ -27,20 +28,20 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
-#: Name of an attribute of a PETSc solver: whether a call of the solver paused the collector.
+#: Attribute of a PETSc solver: whether a call of the solver has paused the collector.
 PAUSED = "dolfinx_feti_collector_paused"
 
 
 @contextmanager
 def python_errors(solver: PETSc.Object | None = None) -> Iterator[None]:
-    """Context for a call of PETSc: raises the error of Python that made it fail.
+    """Context for a call of PETSc that raises the Python error because of which the call failed.
 
     The garbage collector is paused inside of it.
 
     Args:
         solver: The solver that is called, if its context is Python code that uses
-            :func:`garbage_collection_resumed`; None if PETSc calls only Python code that creates
-            little garbage, such as a monitor.
+            :func:`garbage_collection_resumed`. None if PETSc calls only Python code with little
+            garbage, such as a monitor.
     """
     collects = gc.isenabled()
     gc.disable()
@@ -66,7 +67,8 @@ def python_errors(solver: PETSc.Object | None = None) -> Iterator[None]:
 def garbage_collection_resumed(solver: PETSc.Object) -> Iterator[None]:
     """Context in which the collector runs, for Python code that a solver calls.
 
-    It does nothing unless ``python_errors`` paused the collector: a user may have disabled it.
+    It does nothing unless :func:`python_errors` has paused the collector, which a user may have
+    disabled.
 
     Args:
         solver: The solver, which was passed to :func:`python_errors`.

@@ -64,7 +64,7 @@ def c_function(name: str, arguments: tuple[Any, ...]) -> Any:
 
 
 class _RowAccess(NamedTuple):
-    """Functions of PETSc that give access to the arrays of a SeqAIJ matrix, and end it."""
+    """Functions of PETSc that begin and end the access to the arrays of a SeqAIJ matrix."""
 
     get_rows: Any
     restore_rows: Any
@@ -180,11 +180,10 @@ def product(K: PETSc.Mat, x: Array, *, transpose: bool = False) -> Array:
 
 
 def pattern_version(K: PETSc.Mat) -> tuple[int, ...]:
-    """Return numbers that change with the pattern of a sequential matrix.
+    """Return numbers that change whenever the pattern of a sequential matrix changes.
 
-    If two results are equal, the pattern is the same; its entries are not compared. The numbers are
-    PETSc's count of changes, the number of entries and, for SeqAIJ, the addresses of the arrays,
-    which change if another matrix takes the place of K.
+    The pattern itself is not compared. The numbers are PETSc's count of changes, the number of
+    entries and, for SeqAIJ, the addresses of the arrays, which differ if another matrix replaces K.
     """
     count = ctypes.c_int64()
     entries = int(K.getInfo()["nz_used"])

@@ -31,11 +31,11 @@ def require_prefix(prefix: object) -> str:
 def inserted(
     prefix: str, petsc_options: Mapping[str, object] | None
 ) -> AbstractContextManager[None]:
-    """Context in which options are set, and restored at its end.
+    """Context in which options are set; the former options are restored at its end.
 
     Args:
         prefix: Options prefix.
-        petsc_options: Values by keys without the prefix; an option with the value None or True is
+        petsc_options: Values by keys without the prefix. An option with the value None or True is
             set as a flag, without a value. None for no options.
     """
     values = {prefix + key: value for key, value in (petsc_options or {}).items()}
@@ -43,7 +43,7 @@ def inserted(
 
 
 def withheld(keys: Iterable[str]) -> AbstractContextManager[None]:
-    """Context in which the database lacks the options with these keys, prefix included."""
+    """Context in which the options with these keys, prefix included, are not set."""
     return _changed(list(keys), {})
 
 

@@ -4,9 +4,9 @@
 """Partitions by Scotch, which dolfinx calls, that are the same in every run.
 
 dolfinx seeds Scotch, but the result also depends on the timing of its threads and, with several
-processes, on the order of messages. Two environment variables exclude both; no function of Scotch
-does so for calls that dolfinx makes. They are set only while a mesh is partitioned, as other parts
-of the program may use Scotch, too.
+processes, on the order of messages. Two environment variables remove both effects; Scotch has no
+function that does so for calls made by dolfinx. They are set only while a mesh is partitioned,
+because other parts of the program may use Scotch as well.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ def gather_leaves(
 
 
 def _as_sent(values: npt.NDArray[Value]) -> npt.NDArray[Value]:
-    """Return values contiguous in memory, Booleans and integers as int64, others as float64."""
+    """Return a contiguous array: Booleans and integers as int64, other numbers as float64."""
     dtype = np.int64 if values.dtype.kind in "biu" else np.float64
     return np.ascontiguousarray(values, dtype=dtype)
 

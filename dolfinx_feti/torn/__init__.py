@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The torn matrix, the input of the solver; its rounding errors and its null space.
 
-``matrix`` has the class ``Torn``, from which the solver reads the matrix; the other files serve it
-or take it as an argument.
+The solver reads the matrix through the class ``matrix.Torn``. ``symmetry`` and ``connectivity`` are
+used by that class; ``rounding`` and ``null_space`` use it.
 
 In the order of the data: symmetry, connectivity, matrix, rounding, null_space.
 """

@@ -38,8 +38,8 @@ def connected_blocks(graph: scipy.sparse.csr_array, bs: int) -> list[Indices]:
     """Return the rows of each connected component of a matrix, whose dofs come in blocks.
 
     Args:
-        graph: Which blocks the matrix couples, (n / bs, n / bs). An entry couples both ways, even
-            if the pattern is not symmetric.
+        graph: Which blocks the matrix couples, (n / bs, n / bs). An entry couples its row and
+            column even if the pattern is not symmetric.
         bs: Dofs of a block.
 
     Returns:
@@ -56,7 +56,7 @@ def connected_blocks(graph: scipy.sparse.csr_array, bs: int) -> list[Indices]:
 def has_repeated_dofs(A: PETSc.Mat, subdomains: list[Indices]) -> bool:
     """Return True if some subdomain has two copies of one dof. Collective.
 
-    That happens if a connected component of the torn matrix couples several subdomains.
+    This happens if entries of the torn matrix couple subdomains: they are one component then.
 
     Args:
         A: The torn matrix.

@@ -3,15 +3,16 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""The torn matrix: the interface between the finite elements and both formulations.
 
-Tearing [1, eq. 33] replaces the assembled matrix [1, eq. 32] by
+Tearing (eq. 33 of the paper, Augustin, Holzapfel and Steinbach 2014) replaces the assembled matrix
+(eq. 32) by
 
 .. math:: A = T^\top K\, T, \qquad K = \operatorname{diag}(K_1, …, K_p),
 
 where the Boolean matrix :math:`T` copies each dof to every subdomain that has it. A is a MATIS of
-PETSc, with a block-diagonal local matrix on each process and the map *torn dof → dof*. A subdomain
-is a connected component of the graph of the local matrix. Further data are attached to the matrix
-by the names below (docs/torn_matrix.md). In shapes, n is the number of torn dofs and N that of dofs
-of the assembled problem, both of this process.
+PETSc, with a block-diagonal local matrix K on each process and the map *torn dof → dof*. A
+subdomain is a connected component of the graph of K. Further data are attached to the matrix under
+the names below (docs/torn_matrix.md). In shapes, this process has n torn dofs, and owns N dofs of
+the assembled problem.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def create_torn_matrix(
         dirichlet: Global dofs with a prescribed value; ``K`` keeps their rows and columns.
         stiffness: Stiffness of each torn dof for the stiffness scaling, (n,); the diagonal of
             ``K`` if not given.
-        symmetric: Whether ``K`` is symmetric, and remains so with all later entries. If None, it is
+        symmetric: Whether ``K`` is symmetric, now and with all later entries. If None, symmetry is
             detected from the entries of each matrix.
 
     Returns:
@@ -129,7 +130,7 @@ def _require_map(
         dirichlet: Global dofs with a prescribed value.
 
     Raises:
-        ValueError: They do not, or their number does not fit n; on this process alone.
+        ValueError: One of them does not, or their number does not fit n; on this process alone.
     """
     if len(torn_to_global) * bs != n:
         raise ValueError(
@@ -161,11 +162,11 @@ def set_near_kernel(
         A: Torn matrix.
         modes: Linearly independent vectors; orthonormalised in place.
         coordinates: Coordinates of the owned blocks of dofs, (owned blocks, dimension of space),
-            NaN for a block without a point; with them, the message about a singular problem
-            describes what moves, and where.
+            NaN for a block without a point. If they are given, the message about a singular problem
+            says what moves, and where.
     """
     for j, mode in enumerate(modes):
-        for _ in range(2):  # the first pass leaves rounding errors of the size of the mode
+        for _ in range(2):  # the second pass removes the rounding errors of the first
             for other in modes[:j]:
                 mode.axpy(-mode.dot(other), other)
             mode.normalize()
@@ -207,8 +208,8 @@ class MatrixVersion:
     def destroy(self) -> None:
         """Free the references. Collective.
 
-        Otherwise Python's garbage collector frees them on each process at another time, and PETSc
-        postpones their destruction until all processes agree on it.
+        Otherwise Python's garbage collector would free them at another time on each process, and
+        PETSc would postpone their destruction until all processes agree.
         """
         for owned in self.objects:
             owned.destroy()
@@ -261,7 +262,7 @@ def read_dirichlet_mask(A: PETSc.Mat) -> Mask:
 
 
 class Torn:
-    """The data of a torn matrix that the solver needs: blocks, copies, near kernel, Dirichlet dofs.
+    """A torn matrix as the solver reads it: subdomains, copies, near kernel, Dirichlet dofs.
 
     Attributes:
         comm: Communicator of A.
@@ -276,8 +277,7 @@ class Torn:
         is_dirichlet: Mask of the dofs with a prescribed value, (N,).
         is_dirichlet_copy: Mask of the copies of these dofs, (n,).
         is_unused: Mask of the dofs without a copy on any process, (N,).
-        errors: Store for errors of local work in iterations, which are raised later on all
-            processes.
+        errors: Store for errors of local work in iterations, to be raised later on all processes.
     """
 
     def __init__(self, A: PETSc.Mat) -> None:
@@ -332,7 +332,7 @@ class Torn:
 
     def multiply(self, t: Array, *, transpose: bool = False) -> Array:
         """Return K t, or Kᵀ t, for a vector, (n,), or several columns, (n, r)."""
-        if not t.any():  # u_D and x_D of most problems and fresh starts; reading t costs little
+        if not t.any():  # prescribed values often are zero; the check costs little
             return np.zeros_like(t)
         return product(self.K, t, transpose=transpose)
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The null space that a user has attached to a torn matrix by PETSc's ``setNullSpace``.
+r"""The null space that the user attaches to a torn matrix by PETSc's ``setNullSpace``.
 
 .. math:: A Z = 0, \quad Z^⊤ Z = I, \quad Z^⊤ b = 0, \quad Z^⊤ x = 0
 
@@ -20,13 +20,14 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.rounding import FORCE_ROUNDING_MARGIN, residual_rounding
 
-#: Largest error of Zᵀ Z = I, and of A z = 0 scaled by the diagonal of A. Rounding leaves a multiple
-#: of ε = 2e-16, some thousand in the tests; a vector that is no null vector has an error near one.
-#: A choice far from both.
+#: Largest error of Zᵀ Z = I, and of A z = 0 scaled by the diagonal of A. Chosen far from both
+#: sides: rounding errors are at most some thousand times ε = 2e-16 in the tests, and a vector that
+#: is not a null vector has an error near one.
 NULL_VECTOR_RTOL = 1e-10
 
-#: Largest part of a load in the null space of A, relative to the load, that counts as rounding. A
-#: load that nothing balances has a part near one.
+#: Largest part of a load in the null space of A, relative to the load, that counts as rounding. The
+#: same value as :data:`NULL_VECTOR_RTOL`, the accuracy of the Z in Zᵀ b. A load that nothing
+#: balances has a part near one.
 NULL_LOAD_RTOL = 1e-10
 
 
@@ -111,7 +112,7 @@ def max_null_part(
     Args:
         torn: The torn matrix.
         b: Load, (N,).
-        x: x_D, the prescribed values and zeros, (N,).
+        x: x_D, prescribed values on Dirichlet dofs and zeros elsewhere, (N,).
         r: b − A x_D, (N,).
         load_rounding: Size of the rounding errors of b, in its units.
 

@@ -1,13 +1,13 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Rounding errors of a residual: the smallest residual that a solver can reach.
+r"""Rounding errors of a residual, which bound the smallest residual that a solver can reach.
 
 .. math:: ε_r = ε\, \Bigl\| \Bigl(b_i^2 + \sum_j k_{ij}^2\, x_j^2\Bigr)^{1/2} \Bigr\|
 
-for the residual :math:`b - T^⊤ K T x` on the free dofs. Every product and every entry of x is
-rounded by ε/2 at most; errors with random signs add up to this root. The residual of a direct
-solution is about as large (docs/theory.md).
+for the residual :math:`b - T^⊤ K T x` on the free dofs. The relative rounding error of every
+product and of every entry of x is ε/2 at most; errors with random signs add up to the root above.
+The residual of a direct solution is about as large (docs/theory.md).
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.petsc_library import csr_of
 from dolfinx_feti.torn.matrix import Torn
 
-#: Rows whose squares are in memory at once: some megabytes. Twice the number takes twice as much.
+#: Rows whose squared entries are in memory at once. A memory bound: some megabytes.
 CHUNK_ROWS = 20_000
 
-#: Unit of rounding.
+#: Machine epsilon ε, twice the largest relative rounding error.
 EPS = float(np.finfo(np.float64).eps)
 
-#: Multiple of the estimated rounding errors up to which a force A y counts as zero, for a y with
-#: rounding errors. Measured multiples of forces that are zero but for rounding, in a mechanism: 0.3
-#: to 2. Of small forces that are not zero: 110 for islands in a void with 1e-12 of the stiffness,
-#: two millions for a bending strip of t/L = 5e-4. Half and twice change no result.
+#: Largest force A y that counts as zero, as a multiple of its estimated rounding errors, for a y
+#: with rounding errors of its own. Measured: 0.3 to 2 for the zero forces of a mechanism; 110 for
+#: islands in a void with 1e-12 of the stiffness, and two million for a bending strip of t/L = 5e-4,
+#: whose forces are not zero. Half and twice the value change no result.
 FORCE_ROUNDING_MARGIN = 15.0
 
 

@@ -7,9 +7,9 @@ r"""Whether the matrices :math:`K_i` of all subdomains are symmetric up to round
           s_i^2 = \max(|a_{ii}|, \, τ_s \max_j |a_{ij}|)
 
 for the entries a of :math:`K_i`, with τ = :data:`SYMMETRY_RTOL` and :math:`τ_s` =
-:data:`MIN_DIAGONAL`. A comparison with ‖K‖ instead, which grows with the penalty κ, would miss the
+:data:`MIN_DIAGONAL`. A tolerance relative to ‖K‖, which grows with the penalty κ, would miss the
 unsymmetric stiffness of a small follower load. The assembled matrix may be symmetric although the
-:math:`K_i` are not, as with the full tangent of a pressure on a surface whose rim is clamped.
+:math:`K_i` are not. An example is the full tangent of a pressure on a surface whose rim is clamped.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from dolfinx_feti.runtime.petsc_library import csr_of, product
 SYMMETRY_RTOL = 1e-10
 
 #: Largest component of s⁻¹ (K − Kᵀ) s⁻¹ ω, with random weights ω between 1 and 2, with which K
-#: counts as symmetric without a look at its entries. A hundredth of SYMMETRY_RTOL: an entry that
-#: breaks the bound on entries makes its row exceed this one, unless other entries cancel it.
+#: counts as symmetric without an inspection of its entries. A hundredth of SYMMETRY_RTOL: an entry
+#: that violates that bound makes its row violate this one, unless other entries cancel it.
 PROBE_RTOL = 1e-12
 
-#: Smallest s_i², relative to the largest entry of its row: rows with a zero on the diagonal, as of
-#: a multiplier, get a scale from their other entries.
+#: Smallest s_i², relative to the largest entry of its row. It gives a scale to rows with a zero on
+#: the diagonal, such as those of a multiplier.
 MIN_DIAGONAL = 1e-8
 
 
 def is_symmetric(A: PETSc.Mat) -> bool:
-    """Return True if all K_i of a torn matrix are symmetric, as PETSc knows or entries show.
+    """Return True if all K_i of a torn matrix are symmetric. Collective.
 
-    Collective.
+    PETSc's flag is used if it is set; otherwise the entries are compared.
     """
     comm = A.comm.tompi4py()
     K = A.getISLocalMat()

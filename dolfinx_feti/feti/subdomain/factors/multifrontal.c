@@ -8,9 +8,9 @@
 //     K = ( K_II  K_IΓ ) = ( Uᵀ    ) ( U  W ),   U upper triangular,   S = K_ΓΓ − Wᵀ W.
 //         ( K_ΓI  K_ΓΓ )   ( Wᵀ  I ) (    S )
 //
-// Three steps: the analysis of the graph of K, once for a pattern; the factorisation, which works
-// on one small dense matrix (front) after the other; the solution with K_II. Data types, shapes,
-// contracts, and the words node and rank: multifrontal.h.
+// Three steps: the analysis of the graph of K, once for each pattern; the factorisation, which
+// treats one small dense matrix (front) after the other; the solution with K_II. multifrontal.h
+// defines data types, shapes and contracts, and the words node and rank.
 
 #include <limits.h>
 #include <math.h>
@@ -20,8 +20,8 @@
 
 #include "multifrontal.h"
 
-// A front has p pivots, dofs that are eliminated in it, and q update rows: the dofs coupled with
-// these that are eliminated later, or belong to Γ. Its matrix and what becomes of it:
+// A front has p pivots, the dofs that are eliminated in it, and q update rows, the dofs that are
+// coupled with the pivots and are eliminated later, or belong to Γ. Its matrix before and after:
 //
 //          p  q              p  q
 //      p ( P  Q )        p ( U  W )        P = Uᵀ U,  W = U⁻ᵀ Q
@@ -29,7 +29,7 @@
 //
 // U and W are part of the factor; C', the update matrix, is added to the front of the parent. The
 // block · is the transpose of the one above the diagonal, and is not stored. (P, Q) is one array,
-// (p, p + q); of C and C', (q, q), there is the lower triangle.
+// (p, p + q). Only the lower triangles of C and C', (q, q), are stored.
 struct front {
     int first_rank;       // rank of the first pivot; the others follow
     int p;                // pivots
@@ -52,11 +52,11 @@ void multifrontal_free(assembly_tree *tree)
 
 // --- analysis -----------------------------------------------------------------------------------
 //
-// 1. Elimination tree: each node of the interior is a step. The structure of a step are the later
-//    steps that it is coupled with when it is eliminated; the first of them in the interior is its
-//    parent. The nodes of Γ are steps that come last and are not eliminated.
-// 2. Groups: steps are merged with their parents where one larger front is faster than two. A group
-//    is named by its last step, its top, and has the structure of that.
+// 1. Elimination tree: each node of the interior is a step. The structure of a step is the set of
+//    later steps that it is coupled with when it is eliminated; the first of them in the interior
+//    is its parent. The nodes of Γ are steps that come last and are not eliminated.
+// 2. Groups: steps are merged with their parents if one larger front is faster than two. A group is
+//    named by its last step, its top, and has the structure of the top.
 // 3. Assembly tree: the groups in postorder are the fronts, whose dofs get consecutive ranks.
 
 // One step of the elimination, of one node.
@@ -90,17 +90,17 @@ typedef struct {
     int *number; // number of the front that the group of each step becomes, (m_I)
 } step_groups;
 
-// Allocate integers; one more than asked for, so that NULL is always a failure.
+// Allocate integers, one more than requested: NULL then always means failure, even for count = 0.
 static int *allocate_ints(int64_t count) { return malloc(((size_t)count + 1) * sizeof(int)); }
 
 // Return the operations of a front with p pivots and q update rows.
 static double front_flops(double p, double q) { return p * p * p / 3 + p * p * q + p * q * q; }
 
-// Return the estimated time of a front [s]. The four terms are the calls of BLAS, the sum of the
-// update matrix into the parent, the rows of the factor in a solve, and the operations. The
+// Return the estimated time of a front [s]. The four terms are the calls of BLAS, the addition of
+// the update matrix to the parent, the rows of the factor in a solve, and the operations. The
 // constants are rounded times of one core. They need not fit the machine: half or twice of each
 // changes the time of a factorisation by less than 5 % (1000 to 10 000 dofs). Without the third
-// one, fronts grow, and a factorisation of 3000 dofs takes 14 % longer.
+// term, fronts grow, and a factorisation of 3000 dofs takes 14 % longer.
 static double front_seconds(double p, double q)
 {
     const double calls = 3e-6;
@@ -134,7 +134,7 @@ static int number_steps(elimination_tree *t, const int *order)
     return DONE;
 }
 
-// Make room in t->structures for that of one more step.
+// Make room in t->structures for the structure of one more step.
 static int reserve_structure(elimination_tree *t)
 {
     if (t->used + t->m <= t->capacity) return DONE;
@@ -156,8 +156,8 @@ static void add_to_structure(elimination_tree *t, int *last_user, int k, int j)
     ++t->used;
 }
 
-// Count the dofs of the structure of step k, the last one, and make k a child of the first step of
-// it that is in the interior.
+// Count the dofs of the structure of step k, which is the last one so far. Make k a child of the
+// first step in that structure that is in the interior.
 static void link_step(elimination_tree *t, int k)
 {
     step *const s = t->steps;
@@ -214,7 +214,7 @@ static int find_structures(elimination_tree *t, const subdomain_graph *graph)
     return status;
 }
 
-// Merge each step, with all that has been merged with it, with its parent where that saves time.
+// Merge each step, with all steps that have been merged with it, with its parent if that saves time.
 // The merged front has the parent's update rows. On return top[k] is k or the parent of k.
 static void merge_with_parents(const elimination_tree *t, step_groups *g)
 {
@@ -235,12 +235,12 @@ static void merge_with_parents(const elimination_tree *t, step_groups *g)
     }
 }
 
-// Find the top of each step and the parent of each group. A parent is a later step, so that in
-// descending order top[top[k]] is final when k comes, and one pass is enough.
+// Find the top of each step and the parent of each group. A parent is a later step. In descending
+// order top[top[k]] is therefore final when k is visited, and one pass is enough.
 //
-// A root without update rows absorbs children until it has MIN_ROOT_PIVOTS: rigid modes are
-// regularised on its pivots (woodbury.py), and the restrictions of up to six modes to a few dofs
-// would be nearly dependent. A factorisation takes the same time with any number from 1 to 128.
+// A root without update rows absorbs children until it has MIN_ROOT_PIVOTS pivots: the rigid modes
+// are regularised on them (woodbury.py), and up to six modes restricted to a few dofs would be
+// nearly dependent. A factorisation takes the same time with any number from 1 to 128.
 static void finish_merging(const elimination_tree *t, step_groups *g)
 {
     enum { MIN_ROOT_PIVOTS = 64 };
@@ -330,7 +330,7 @@ static int create_fronts(const elimination_tree *t, const step_groups *g, assemb
     return DONE;
 }
 
-// Numbers of doubles beyond this do not have a number of bytes.
+// Largest number of doubles whose size in bytes fits into 64 bits.
 static const int64_t MAX_ENTRIES = INT64_MAX / sizeof(double);
 
 // Find the places of the fronts among ranks, update rows and factor, and the sizes that are sums or
@@ -356,8 +356,9 @@ static int place_fronts(assembly_tree *tree)
     return DONE;
 }
 
-// Find the size of the work space of a factorisation: at each front its matrix, and below that a
-// stack of update matrices whose parents come later. Those of its children are on top of the stack.
+// Find the size of the work space of a factorisation. At each front it contains a stack of update
+// matrices whose parents come later, those of the children of the front on top, and above the stack
+// the matrix of the front.
 static int size_work_space(assembly_tree *tree)
 {
     int *const waiting = allocate_ints(tree->front_count); // orders of the matrices on the stack
@@ -516,15 +517,15 @@ int multifrontal_analyse(const subdomain_graph *graph, assembly_tree **result)
 
 // --- factorisation ------------------------------------------------------------------------------
 
-// The work space: update matrices whose parents come later, and above them the present front.
+// The work space contains update matrices whose parents come later, and above them the present front.
 //
 //     | update matrix | update matrix | …                    | P  Q | C |
 //     work                                               stack_end
 //
-// Those of the children of the present front are on top of the stack. They are added to it and
-// popped; then its own update matrix is moved to the end of the shortened stack.
+// The update matrices of its children are on top of the stack. They are added to it and popped; then
+// its own update matrix is moved to the end of the shortened stack.
 
-// What the factorisation of one matrix works with.
+// Arguments and work space of the factorisation of one matrix.
 typedef struct {
     const assembly_tree *tree;
     const process_matrix *K;
@@ -637,9 +638,9 @@ static int assemble_front(factorisation *w, const front *F, double *P, double *C
 //
 //     W_r = U_rr⁻ᵀ (Q_r − U_(above r)ᵀ W_(above r)).
 //
-// The triangles U_rr are inverted, as BLAS multiplies with a narrow triangle in a third of the time
-// that it takes to solve with one. With 24 rows a factorisation of 3000 dofs takes 5 % longer, with
-// 96 rows 2 to 5 %.
+// The triangles U_rr are inverted, because BLAS multiplies with a narrow triangle in a third of the
+// time that it needs to solve with it. With 24 rows a factorisation of 3000 dofs takes 5 % longer,
+// with 96 rows 2 to 5 %.
 static void solve_update_columns(int p, int q, double *U, double *W, const dense_routines *dense)
 {
     enum { NARROW = 48 };
@@ -767,8 +768,8 @@ double multifrontal_smallest_pivot(const assembly_tree *tree, const double *fact
 
 // --- solution -----------------------------------------------------------------------------------
 
-// The right-hand sides of a solve, which become solutions. In the functions below, y are the rows
-// of Y of the pivots of a front, (p, r), in place: its columns are n_I entries apart.
+// The right-hand sides of a solve, which become solutions. In the functions below, y points to the
+// rows of Y of the pivots of a front, (p, r); its columns are n_I entries apart.
 typedef struct {
     const assembly_tree *tree;
     const dense_routines *dense;
@@ -844,7 +845,7 @@ static void solve_forward(const solve_data *s, const front *F, double *factor)
     }
 }
 
-// y = U⁻¹ (y − W y_q) on the pivots of a front, whose update rows y_q are solved for.
+// y = U⁻¹ (y − W y_q) on the pivots of a front. On its update rows, y_q is the solution already.
 static void solve_backward(const solve_data *s, const front *F, double *factor)
 {
     const int64_t p = F->p;

@@ -4,13 +4,13 @@
 //
 // Interface between multifrontal.py, which reads this file, and multifrontal.c.
 //
-// Shapes: n dofs of all subdomains of a process; n_i dofs of one subdomain, n_I of them in its
-// interior, n_Γ on its interface; m nodes of its graph, groups of consecutive dofs that are
-// eliminated together. Dense matrices are stored column by column. The rank of a dof is its place
-// in the order of elimination; the dofs of Γ have the last n_Γ ranks.
+// Shapes: a process has n dofs in all its subdomains. One subdomain has n_i dofs, n_I of them in its
+// interior and n_Γ on its interface. Its graph has m nodes; a node is a group of consecutive dofs
+// that are eliminated together. The rank of a dof is its place in the order of elimination; the
+// dofs of Γ have the last n_Γ ranks. Dense matrices are stored column by column.
 //
-// No function keeps a pointer that it is passed. cffi parses this file, so that it has no
-// directives of the preprocessor: multifrontal.c includes stdint.h first.
+// No function keeps a pointer that it is passed. cffi parses this file, which therefore has no
+// preprocessor directives: multifrontal.c includes stdint.h first.
 
 enum { DONE, NO_MEMORY, TOO_LARGE, INVALID, NOT_DEFINITE, NEW_PATTERN };
 
@@ -36,8 +36,8 @@ typedef struct {
 
 typedef struct front front; // of multifrontal.c
 
-// The fronts of a graph, each of which passes its update matrix to its parent. They serve all
-// matrices of that pattern.
+// The fronts of a graph, each of which passes its update matrix to its parent. They depend only on
+// the pattern of the matrix.
 typedef struct {
     int n_i;                // dofs
     int n_I;                // dofs of the interior
@@ -82,15 +82,15 @@ typedef struct {
 // Find the fronts of a graph.
 //
 // result: the fronts, which multifrontal_free frees; NULL on failure.
-// Returns DONE; NO_MEMORY; TOO_LARGE if numbers of dofs exceed 32 bits or numbers of bytes 64;
-// INVALID for a graph or an order that is none.
+// Returns DONE; NO_MEMORY; TOO_LARGE if a number of dofs exceeds 32 bits, or a number of bytes 64;
+// INVALID if the graph or the order is inconsistent.
 int multifrontal_analyse(const subdomain_graph *graph, assembly_tree **result);
 
 // Factor K_II and form S for one matrix.
 //
 // addend_on_last: added to K_II on the pivots of the last front, (p, p); NULL for none.
-// Returns DONE; NO_MEMORY; NOT_DEFINITE; or NEW_PATTERN for an entry of K outside of the fronts.
-// After a failure the contents of the storage are arbitrary.
+// Returns DONE; NO_MEMORY; NOT_DEFINITE if K_II is not positive definite; NEW_PATTERN if an entry of
+// K lies outside of the fronts. After a failure the contents of the storage are arbitrary.
 int multifrontal_factor(const assembly_tree *tree, const process_matrix *K,
                         const double *addend_on_last, const factor_storage *storage,
                         const dense_routines *dense);
