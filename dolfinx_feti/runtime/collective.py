@@ -194,8 +194,8 @@ def warn(text: str, comm: MPI.Comm) -> None:
         logger.warning(text)
 
 
-#: Former name of :func:`on_root`, for programs that import it (docs/api.md).
+#: Another name of :func:`on_root`, for programs that import it (docs/api.md).
 on_first = on_root
 
-#: Former name of :func:`error_message`; likewise.
+#: Another name of :func:`error_message`, for the same reason.
 reason = error_message

@@ -28,7 +28,7 @@ class LinearMap:
     def T(self) -> TransposedMap:
         """The transpose Mᵀ, which shares matrix and work vectors.
 
-        A product copies its result, so that ``M @ (M.T @ y)`` is safe.
+        A product returns a copy: ``M @ (M.T @ y)`` is safe.
         """
         return TransposedMap(self)
 

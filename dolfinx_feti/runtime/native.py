@@ -74,11 +74,11 @@ class _Unit:
     cache: Path | None
 
 
-#: Modules that this process has loaded, as ``sys.modules`` has those of Python.
+#: Modules that this process has loaded, like ``sys.modules`` of Python.
 _loaded: dict[_Unit, ModuleType] = {}
 
-#: Key of an attribute of communicators: the set of units that :func:`load` has loaded with it. If a
-#: unit is in the set on one process, it is on all, as :func:`load` is collective.
+#: Key of an attribute of communicators: the set of units that :func:`load` has loaded with it. The
+#: set is the same on all processes, because :func:`load` is collective.
 _LOADED_BY_ALL = MPI.Comm.Create_keyval()
 
 
@@ -245,7 +245,7 @@ def _load_module(unit: _Unit, path: str = "") -> ModuleType:
     except ImportError as error:
         raise RuntimeError(
             f"{path}, compiled from {unit.source.name}, cannot be loaded "
-            f"({error_message(error)}): delete it, so that it is compiled again."
+            f"({error_message(error)}): delete it, and it will be compiled again."
         ) from error
     return _loaded.setdefault(unit, module)
 

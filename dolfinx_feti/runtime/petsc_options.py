@@ -48,7 +48,7 @@ def withheld(keys: Iterable[str]) -> AbstractContextManager[None]:
 
 
 def mark_as_read(prefix: str, name: str) -> None:
-    """Mark an option as read if it is set, so that :func:`unread_options` does not return it."""
+    """Mark an option as read if it is set: :func:`unread_options` then omits it."""
     PETSc.Options(prefix).hasName(name)
 
 

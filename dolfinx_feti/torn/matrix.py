@@ -198,7 +198,7 @@ class MatrixVersion:
     Attributes:
         pattern: What the pattern depends on.
         values: What the entries depend on.
-        objects: References that keep the objects alive, so that no new object gets their handles.
+        objects: References that keep the objects alive: no new object can get their handles.
     """
 
     pattern: tuple[object, ...]

@@ -51,8 +51,8 @@ class SubdomainAnalysis:
 
     Attributes:
         subdomain: The subdomain.
-        local_symbolic: Symbolic factor of the regularised K_i; None if PETSc factors it, or if the
-            interior is eliminated, so that S_i is factored instead.
+        local_symbolic: Symbolic factor of the regularised K_i. None if PETSc factors it, or if S_i
+            is factored instead, because the interior is eliminated.
         interior_symbolic: Symbolic factor that eliminates the interior: it factors K_II, and forms
             S_i as well if S is formed. None if PETSc factors K_II, or if K_II is not factored.
     """

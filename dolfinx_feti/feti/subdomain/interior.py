@@ -62,14 +62,13 @@ def interior_null_vectors(
     for S_i in schur_complements:
         s = S_i.subdomain
         d = diagonal[s.interior]
+        factor = S_i.interior_factor
         with NumberedErrors(s.number):
-            factor = S_i.interior_factor
-            if factor is None or not is_numerically_singular(factor, d):
-                continue
-            Y = _null_vectors_of_interior(torn.K, s, options, d)
-            on_torn_dofs = np.zeros((torn.n, Y.shape[1]))
-            on_torn_dofs[s.interior] = Y
-            columns.append(on_torn_dofs)
+            if factor is not None and is_numerically_singular(factor, d):
+                Y = _null_vectors_of_interior(torn.K, s, options, d)
+                on_torn_dofs = np.zeros((torn.n, Y.shape[1]))
+                on_torn_dofs[s.interior] = Y
+                columns.append(on_torn_dofs)
     return np.hstack(columns)
 
 

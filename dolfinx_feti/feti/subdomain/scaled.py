@@ -106,7 +106,7 @@ class ScaledMatrix:
     def unscaled_forces(self, X: Array) -> Array:
         """Return s X, (n_i,) or (n_i, r): forces X in the system with K.
 
-        R and Y are transformed like forces, as K + ρ R Rᵀ = s (K̂ + ρ R̂ R̂ᵀ) s.
+        R and Y are transformed like forces: K + ρ R Rᵀ = s (K̂ + ρ R̂ R̂ᵀ) s.
         """
         return _multiply_rows(self.scale, X)
 

@@ -587,7 +587,7 @@ static int assemble_pivot_rows(const factorisation *w, const front *F, double *P
 }
 
 // Extend-add: add the update matrix of a child, (u, u), whose rows have the places `at`, to the
-// matrix of a front. Places ascend, as both are sorted by rank: entry (l, j), l ≥ j, of the lower
+// matrix of a front. Places ascend, because both are sorted by rank: entry (l, j), l ≥ j, of the lower
 // triangle goes to row j of (P, Q) if j is a pivot there, and to the lower triangle of C otherwise.
 static void extend_add(const front *F, double *restrict P, double *restrict C, int u, const int *at,
                        const double *restrict update)

@@ -25,7 +25,7 @@ METIS_OPTIONS = 40
 #: Return value METIS_OK of metis.h.
 METIS_OK = 1
 
-#: Seed of the random numbers of the test of symmetry. Any number serves.
+#: Seed of the random numbers in the test of symmetry. An arbitrary number.
 SEED = 1998
 
 
@@ -109,7 +109,7 @@ def _metis_order(ptr: Numbers, adjacent: Indices) -> Indices | None:
 
 
 def _petsc_order(ptr: Numbers, adjacent: Indices) -> Indices:
-    """Order the nodes of a graph, given like that of :func:`_metis_order`, by PETSc, (n,)."""
+    """Order the nodes of a graph by PETSc, (n,); arguments as in :func:`_metis_order`."""
     n = len(ptr) - 1
     csr = (ptr.astype(PETSc.IntType), adjacent.astype(PETSc.IntType), np.ones(len(adjacent)))
     with Lifetime() as owned:
