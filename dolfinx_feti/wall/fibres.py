@@ -139,9 +139,12 @@ def solve_potentials(
     if len(set(surfaces)) < len(surfaces):
         raise ValueError(f"inner={inner!r}, outer={outer!r} and ends={names} name a surface twice")
     if len(names) < 2:
+        found = "No surface is called opening_…"
+        if names:
+            found = f"There is one opening, {names[0]!r}"
         raise ValueError(
-            f"The wall has the openings {', '.join(names) or 'none'}: the longitudinal direction "
-            "needs at least two; name them by ends="
+            f"{found}, but the longitudinal direction needs two surfaces: pass their names, such "
+            f"as ends=['inlet', 'outlet']; the wall has {', '.join(wall.surfaces)}"
         )
     if inlet is None:
         areas = np.array([area(wall, name) for name in names])

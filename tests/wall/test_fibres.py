@@ -119,7 +119,7 @@ def test_surfaces_by_other_names(tmp_path):
         equal(e, expected, 1e-12)
     with raises(ValueError, "no surface 'lumen'"):
         fibre_frame(other, ends=["below", "above"])
-    with raises(ValueError, "openings none: .* name them by ends="):
+    with raises(ValueError, "No surface is called opening_.*: pass their names, such as ends="):
         fibre_frame(other, inner="inside", outer="outside")
     with raises(ValueError, "but the wall has the layers wall"):
         fibre_families(replace(other, layers={"wall": 1}), frame)
@@ -200,7 +200,7 @@ def test_inlet_may_be_chosen(tmp_path):
         equal(b, sign * f, 1e-8)
     with raises(ValueError, "inlet='lumen' is not an opening; choose one of opening_1, opening_2"):
         fibre_frame(wall, inlet="lumen")
-    with raises(ValueError, "has the openings opening_1: .* at least two"):
+    with raises(ValueError, "There is one opening, .opening_1., but .* needs two surfaces"):
         fibre_frame(wall, ends=["opening_1"])
 
 

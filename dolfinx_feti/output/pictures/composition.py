@@ -191,7 +191,7 @@ def _add_title(figure: Figure, layout: _Layout, title: str, middle: float, ink: 
 def _add_colour_bar(
     figure: Figure, layout: _Layout, label: str, span: _Span, scale: ColourScale, ink: str
 ) -> None:
-    """Add a colour bar with four to five numbers.
+    """Add a colour bar with four to five numbers; a power of ten follows the label.
 
     Args:
         figure: The figure.
@@ -219,8 +219,10 @@ def _add_colour_bar(
     formatter.set_powerlimits((-2, 4))
     bar.formatter = formatter
     bar.update_ticks()
-    bar.ax.xaxis.offsetText.set(color=ink, fontsize=TICK_SIZE)
-    bar.set_label(label, fontsize=FONT_SIZE, color=ink, labelpad=1)
+    bar.ax.xaxis.offsetText.set_visible(False)  # its default place is on top of the label
+    formatter.set_locs(bar.get_ticks())
+    factor = formatter.get_offset()  # a power of ten, or empty
+    bar.set_label(f"{label} {factor}".rstrip(), fontsize=FONT_SIZE, color=ink, labelpad=1)
     bar.ax.tick_params(labelsize=TICK_SIZE, colors=ink)
     outline: Any = bar.outline
     outline.set_edgecolor(ink)

@@ -23,7 +23,7 @@ Reason = PETSc.SNES.ConvergedReason
 CLOSER_START = "begin closer to the solution, such as with that of another parameter"
 
 #: The remedy {0} of most failures, for a displacement.
-SMALLER_LOAD_STEPS = "load in smaller steps"
+SMALLER_LOAD_STEPS = "load in smaller steps (loading.follow_load adapts them)"
 
 #: Appended to the message if a tangent was singular although there are contacts.
 UNSUPPORTED = (

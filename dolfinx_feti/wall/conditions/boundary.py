@@ -92,7 +92,7 @@ class Boundary:
     prestretch: Prestretch | None
 
     def set_pressure(self, pressure: float) -> None:
-        """Set the wall's pressure [kPa]."""
+        """Set the wall's pressure [kPa]; ``loads.mmhg(120.0)`` converts from mmHg."""
         self.pressure.value = pressure
 
     def set_stretch(self, stretch: float) -> None:
