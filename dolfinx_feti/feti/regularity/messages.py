@@ -61,11 +61,11 @@ SINGULAR_INTERIOR = (
 UNEVEN_SCALES = (
     "The assembled problem is singular up to rounding: {} no more force than rounding errors. "
     "Coefficients of very different scales may be the reason (the diagonal of A spans {:.0e}): "
-    "raise the smallest, such as that of a void, to 1e-9 of the largest, or connect what is loose."
+    "raise the smallest, such as that of a void, to 1e-9 of the largest, or connect loose parts."
 )
 
 REMEDY = (
-    "Add Dirichlet conditions, connect what is loose, or give A this null space (A.setNullSpace)."
+    "Add Dirichlet conditions, connect loose parts, or give A this null space (A.setNullSpace)."
 )
 
 

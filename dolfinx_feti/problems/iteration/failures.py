@@ -90,7 +90,9 @@ INDEFINITE_TRIAL = Failure(
     "{0} (linear solver: {1})",
     IndefiniteTangentError,
 )
-LINEAR_SOLVER = Failure(Reason.DIVERGED_LINEAR_SOLVE, "the linear solver", "{1}", LinearSolverError)
+LINEAR_SOLVER = Failure(
+    Reason.DIVERGED_LINEAR_SOLVE, "the linear solver failed", "{1}", LinearSolverError
+)
 
 #: All of them.
 FAILURES = (
