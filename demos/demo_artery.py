@@ -100,8 +100,9 @@ if comm.rank == 0:
 
 # ## Inflation
 #
-# The first load step is a tenth of the target; later ones adapt. On the way, equilibrium and linear
-# systems are met to 1e-3, at the end to 1e-8. Each equilibrium is written for ParaView.
+# The first load step is a tenth of the target; later ones adapt. The tolerance of equilibrium and
+# linear systems is 1e-3 at intermediate loads and 1e-8 at the end. Each equilibrium is written for
+# ParaView.
 
 # +
 with FieldWriter(folder / "wall", [u, a1, a2], {"J": J}) as writer:
@@ -122,8 +123,8 @@ with FieldWriter(folder / "wall", [u, a1, a2], {"J": J}) as writer:
 
 # ## Compared with a direct solver
 #
-# One more Newton step, towards one per cent more pressure. FETI gets the torn matrix, MUMPS the
-# assembled one, and neither has anything set up.
+# FETI and MUMPS solve one more Newton step, towards one per cent more pressure, each from scratch:
+# FETI with the torn matrix, MUMPS with the assembled one.
 
 # +
 boundary.set_pressure(1.01 * target)
@@ -143,8 +144,7 @@ pictures.draw(
 
 # ## The wall, torn at rest and under pressure
 #
-# The stress is *recovered*: it is continuous in each layer, and more accurate than that inside of
-# the cells.
+# The *recovered* stress is continuous in each layer, and more accurate than that inside the cells.
 
 # +
 sigma = kinematics.cauchy_stress(psi, F)
@@ -161,6 +161,6 @@ pictures.draw(folder / "wall.png", pictures.subdomains(problem, title="64 subdom
 
 # ## The wall in a browser
 #
-# The same body in an HTML file, in which it is turned with the mouse.
+# An HTML file shows the same body; drag it with the mouse to rotate it.
 
 scenes.write_scene(folder / "wall.html", inflated)

@@ -12,9 +12,9 @@
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
-# A rubber balloon is hard to blow up at first. Then the pressure falls while it grows. No load
-# step leads over the maximum of the pressure. So the *volume* is prescribed, and the pressure
-# becomes an unknown: a scalar beside the displacement.
+# A rubber balloon is hard to blow up at first. Then the pressure falls while it grows. Load steps
+# cannot pass the maximum of the pressure. This program prescribes the *volume* instead, and the
+# pressure becomes a scalar unknown.
 #
 #     python3 demos/demo_balloon.py
 

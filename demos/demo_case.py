@@ -141,7 +141,8 @@ if comm.rank == 0:
 
 # ## Prestretch and inflation
 #
-# A prestretch comes first. Dashpots see the pressure grow at the file's rate.
+# First the prestretch is applied, then the pressure. If there are dashpots, the pressure grows at
+# the rate in the file.
 
 # +
 if case.stretch != 1.0:
@@ -197,8 +198,8 @@ pictures.draw(
 
 # ## Compared with a direct solver, and tables
 #
-# One more Newton step, towards one per cent more pressure. `history.csv` has a line for each
-# Newton step.
+# The program solves one more Newton step, towards one per cent more pressure. `history.csv` has a
+# line for each Newton step.
 
 # +
 boundary.set_pressure(1.01 * loads.mmhg(target))

@@ -31,10 +31,10 @@ comm = MPI.COMM_WORLD
 
 # ## The artery
 #
-# A quarter of a tube, from the middle of the stenosis to its healthy end, is a cube that is bent.
-# Its coordinates are the depth in the wall, the angle, and the place along the axis, from 0 to 1
-# each. The inner half of the cube becomes the media, which is thickened in the middle of the
-# stenosis; the outer half becomes the adventitia.
+# A unit cube is bent into a quarter of a tube, from the middle of the stenosis to its healthy end.
+# Its coordinates are the depth in the wall, the angle, and the position along the axis. The inner
+# half becomes the media, which is thicker in the middle of the stenosis, and the outer half the
+# adventitia.
 
 # +
 healthy = 1.5  # radius of the lumen
@@ -89,9 +89,9 @@ ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
 
 # ## The wall
 #
-# Two families of fibres wind around each layer at ±35°. The stress of both layers softens with the
-# largest energy that they have had, which is an *internal variable*: `damaged` returns the energy
-# and the update of the variable.
+# Two families of fibres wind around each layer at ±35°. Both layers soften with the largest energy
+# so far, which is an *internal variable*: `damaged` returns the softened energy and the update of
+# the variable.
 
 # +
 V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
@@ -158,8 +158,8 @@ problem = NonlinearProblem(
 
 # ## Pressure, balloon, recoil
 #
-# After each step, the curve gets a point: the radii of the balloon and of the narrowest point of
-# the lumen.
+# Each step adds a point to the curve: the radius of the balloon, and that of the lumen where it is
+# narrowest.
 
 # +
 X = V.tabulate_dof_coordinates()

@@ -4,9 +4,8 @@
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
-# Growth is an *internal variable*: a Function that is updated between solves, here by an
-# expression in UFL. Active tension is a stress that no energy has. Both are compared with their
-# closed form.
+# Growth is an *internal variable*: a Function that is updated between solves, here by an expression
+# in UFL. Active tension is a stress without a potential. Both are compared with closed forms.
 #
 #     python3 demos/demo_growth.py
 #
@@ -36,7 +35,7 @@ kappa = 1e5  # kPa
 # approaches 1.3, $\dot ϑ = (1.3 - ϑ)/τ$. Elastically the material keeps its volume, so that the
 # outer radius follows from $r_o^2 = R_i^2 + ϑ^2 (R_o^2 - R_i^2)$.
 #
-# A quarter of the ring, in plane strain, is a rectangle in polar coordinates that is bent.
+# A rectangle in polar coordinates is bent into a quarter of the ring, in plane strain.
 
 # +
 inner = 1.0  # radius
@@ -49,8 +48,8 @@ ring.geometry.x[:, 0] = radius * np.cos(angle)
 ring.geometry.x[:, 1] = radius * np.sin(angle)
 # -
 
-# The material feels the elastic part of the deformation, $F_e = F / ϑ$, per volume of grown
-# material, which is ϑ² times the volume of the mesh.
+# The energy depends on the elastic part of the deformation, $F_e = F / ϑ$. It is per volume of
+# grown material, which is ϑ² times the volume of the mesh.
 
 # +
 V = dolfinx.fem.functionspace(ring, ("Lagrange", 2, (2,)))
@@ -91,8 +90,7 @@ for component, on_axis in [(0, at_y_axis), (1, at_x_axis)]:
     bcs.append(dolfinx.fem.dirichletbc(0.0, dofs, V.sub(component)))
 # -
 
-# The update is that of a time step of 2 s. It takes place when `update_internal_variables` is
-# called.
+# The update advances the growth by a time step of 2 s. `update_internal_variables` applies it.
 
 # +
 dt = 2.0  # s

@@ -97,8 +97,8 @@ dx = ufl.Measure("dx", domain=domain, metadata=metadata)
 residual = ufl.inner(ufl.grad(v), P) * dx - ufl.inner(v, T) * ds(2)
 # -
 
-# The constructor is dolfinx's. `subdomains` is new and optional: into how many parts the mesh is
-# torn, over all processes. The options of the LU factorisation are left out.
+# The constructor is dolfinx's. `subdomains` is new and optional: the number of parts of the mesh,
+# over all processes. The options of the LU factorisation are omitted.
 
 # +
 petsc_options = {"snes_rtol": 1e-8, "snes_atol": 1e-8}
@@ -137,7 +137,7 @@ assert np.allclose(force, -T.value, atol=1e-5)
 
 # ## Picture
 #
-# The beam as it is torn, and bent.
+# The subdomains, and the bent beam:
 
 pictures.draw(
     "hyperelasticity.png",

@@ -4,9 +4,9 @@
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
-# A checkerboard of a soft and a stiff material, up to a million times as stiff. What such a jump
-# does to the iterations depends on two choices: the weights by which a jump of the displacement is
-# shared out between the two sides (*scaling*), and the weight Q of the projection.
+# A checkerboard of a soft material and one that is up to a million times as stiff. The effect of
+# such a jump on the iterations depends on two choices: the weights that distribute a gap in the
+# displacement between the two sides (*scaling*), and the weight Q of the projection.
 #
 #     python3 demos/demo_jumps.py
 
@@ -79,9 +79,9 @@ bc = dolfinx.fem.dirichletbc(np.zeros(2), dolfinx.fem.locate_dofs_topological(V,
 # measures the jumps of the rigid body modes by Q: with the identity, a jump between two stiff
 # squares counts as much as one between soft ones; with the preconditioner it counts by its energy.
 #
-# Both are choices of the dual form. The soft modes that its coarse space may take up are left out,
-# so that these two stand alone. Iterations are those until the *residual of the assembled system*
-# has fallen by 1e-8.
+# Both choices belong to the dual form. Soft modes are omitted from its coarse space, to isolate
+# their effect. The table counts the iterations until the *residual of the assembled system* has
+# decreased by a factor of 1e-8.
 
 # +
 choices = [

@@ -4,9 +4,8 @@
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
-# A clamped membrane is inflated in load steps. Then the same is done by a run that ends half-way,
-# as with a time limit on a cluster, and by a second one that continues from its checkpoint. Both
-# ways have to lead to the same state.
+# A clamped membrane is inflated in load steps. Then a second run stops half-way, as at a time limit
+# on a cluster, and a third continues from its checkpoint. Both must reach the same state.
 #
 #     python3 demos/demo_load_steps.py
 #
@@ -101,7 +100,7 @@ if comm.rank == 0:
         print(f"{step.load:5.2f} mmHg  {risen:.4f} mm  FETI iterations {iterations}")
 # -
 
-# The membrane as it is torn, and inflated:
+# The subdomains, and the inflated membrane:
 
 pictures.draw(
     "membrane.png",
@@ -112,8 +111,8 @@ pictures.draw(
 
 # ## Interrupted
 #
-# The run begins at rest again, with a checkpoint in a folder, and ends at 2 mmHg. The parameters
-# of the checkpoint are those of the user's problem: a state of other parameters is refused.
+# The second run starts at rest, with a checkpoint in a folder, and ends at 2 mmHg. The checkpoint
+# stores your parameters; a restart with other parameters is an error.
 
 # +
 parameters = {"c [kPa]": 3.0, "κ [kPa]": 100.0}
@@ -131,8 +130,8 @@ before = heights
 
 # ## Continued
 #
-# A second program would create the same problem and open the checkpoint with `restart=True`. Its
-# state takes the place of the present one.
+# A new program would create the same problem and open the checkpoint with `restart=True`. Its state
+# replaces the current one.
 
 # +
 u.x.array[:] = 0.0
@@ -145,8 +144,9 @@ all_steps = follow_load(
 after = heights
 # -
 
-# `follow_load` returns all steps, including those before the restart. The loads on the way differ
-# from those of the first run, as 2 mmHg was met exactly; the final states must not.
+# `follow_load` returns all steps, including those before the restart. The intermediate loads differ
+# from those of the first run, because the second run stopped at exactly 2 mmHg; the final states
+# must agree.
 
 # +
 difference = np.abs(u.x.array - uninterrupted).max(initial=0.0)

@@ -4,10 +4,10 @@
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
-# What a material remembers is a Function, an *internal variable*, with an update in UFL. It
-# changes when a state is accepted: by `problem.update_internal_variables()`, or by itself in
-# `follow_load` and `follow_time`. A block relaxes and softens here; `demo_growth.py` has a ring
-# that grows.
+# An *internal variable* stores the history of a material: a Function with an update in UFL. It
+# changes when a state is accepted: `follow_load` and `follow_time` update it, or you call
+# `problem.update_internal_variables()`. Here a block relaxes and softens; in `demo_growth.py` a
+# ring grows.
 #
 #     python3 demos/demo_memory.py
 #
@@ -61,7 +61,7 @@ psi_volumetric = materials.perturbed_lagrangian(J, p, kappa=1e5)
 dx = ufl.dx(metadata={"quadrature_degree": 2})
 # -
 
-# The memory lives at the points of the quadrature.
+# The internal variables are stored at the quadrature points.
 
 
 # +

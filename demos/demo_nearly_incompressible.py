@@ -4,9 +4,9 @@
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
-# A material that hardly changes its volume is what this package is made for. A block is bent while
-# its bulk modulus κ grows by four orders of magnitude; FETI and algebraic multigrid (PETSc's GAMG)
-# solve the same matrix.
+# This package is made for materials that hardly change their volume. A block bends under its
+# weight, for bulk moduli κ over four orders of magnitude; FETI and algebraic multigrid (PETSc's
+# GAMG) solve the same matrix.
 #
 #     python3 demos/demo_nearly_incompressible.py
 
@@ -74,9 +74,9 @@ problem = NonlinearProblem(
 
 # ## GAMG on the same matrix
 #
-# `assembled_system` makes an ordinary PETSc matrix of the torn one, with unit rows at the Dirichlet
-# dofs. At rest the residual is the weight alone, which dolfinx assembles. Multigrid needs the rigid
-# body modes; the torn matrix carries them along.
+# `assembled_system` assembles an ordinary PETSc matrix from the torn one, with unit rows at the
+# Dirichlet dofs. At rest the residual is the weight alone, which dolfinx assembles. Multigrid needs
+# the rigid body modes, which are attached to the torn matrix.
 
 # +
 load = dolfinx.fem.petsc.assemble_vector(
@@ -123,11 +123,11 @@ for value in kappas:
 
 # ## What κ does to the iterations
 #
-# The matrix of the subdomains contains κ, but the weights of the scaling are taken from the tangent
-# *before* p is condensed into it, and the coarse space lets volume flow from subdomain to
-# subdomain. So FETI hardly notices κ. GAMG's coarse spaces do not know about volumes: its
-# iterations grow. In a *compressible* material (the left end) it is the cheaper method all the
-# same, for an iteration of it and its set-up cost less.
+# The matrix of the subdomains contains κ, but the weights of the scaling come from the tangent
+# *before* p is condensed, and the coarse space represents the flow of volume from subdomain to
+# subdomain. FETI's iterations therefore hardly depend on κ. GAMG's coarse spaces do not represent
+# volumes, and its iterations grow. For a *compressible* material (the left end) GAMG is still
+# cheaper, because its set-up and iterations cost less.
 
 # +
 if comm.rank == 0:

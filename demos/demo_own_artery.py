@@ -4,14 +4,15 @@
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
-# From a geometry to the numbers that one wants to know: an artery is meshed by Gmsh, gets two
-# layers with collagen fibres, and is inflated to 16 kPa (120 mmHg). The program prints a stress at
-# a point and the force at a clamped end, and draws the wall.
+# From a geometry to results: this program meshes an artery by Gmsh, gives it two layers with
+# collagen fibres, and inflates it to 16 kPa (120 mmHg). It prints a stress at a point and the
+# force at a clamped end, and draws the wall. It needs the extras `meshes` and `plot`.
 #
 #     python3 demos/demo_own_artery.py
 #     mpirun -n 4 python3 demos/demo_own_artery.py
 #
-# To use a mesh of your own, leave out the first section. Units: mm, kPa, and hence mN.
+# To use your own mesh, omit the first section. Units are mm and kPa, hence mN; `loads.mmhg(120.0)`
+# converts a pressure from mmHg to kPa.
 
 # +
 from mpi4py import MPI
@@ -103,7 +104,7 @@ comm.Barrier()
 
 # ## The wall
 #
-# `read_wall` takes the names of layers and surfaces from the file.
+# `read_wall` reads the names of layers and surfaces from the file.
 
 wall = read_wall("artery.msh", comm)
 if comm.rank == 0:
@@ -146,7 +147,7 @@ psi += materials.perturbed_lagrangian(J, p, kappa=1000.0)
 
 # ## Pressure and supports
 #
-# The pressure follows the deformed lumen. Springs stand for the tissue around the vessel, and both
+# The pressure follows the deformed lumen. Springs model the tissue around the vessel, and both
 # ends are clamped.
 
 # +
@@ -178,8 +179,8 @@ if comm.rank == 0:
 
 # ## The stress at a point
 #
-# The point is in the media, half way along the artery. The stress is *recovered* before it is
-# evaluated: it is continuous in each layer and more accurate than that inside of the cells.
+# The point is in the media, half way along the artery. `recovered_field` returns a stress that is
+# continuous in each layer and more accurate than that inside the cells.
 
 # +
 sigma = kinematics.cauchy_stress(psi, F)
@@ -197,7 +198,7 @@ if comm.rank == 0:
 
 # ## The force at the inlet
 #
-# The clamp holds the wall back with this force:
+# The clamp exerts this force on the wall:
 
 force = problem.reaction(facets(wall, "inlet")).force
 if comm.rank == 0:

@@ -40,8 +40,8 @@ comm = MPI.COMM_WORLD
 # $$ \bar Ψ = \frac c2(\bar I_1 - 3)
 #    + \frac{k_1}{2k_2}\sum_{i=4,6}\left(e^{k_2\langle E_i\rangle^2} - 1\right). $$
 #
-# The bars mark isochoric invariants: a change of volume alone has no energy here. That is the task
-# of the pressure, which is added below.
+# The bars mark isochoric invariants, which a change of volume alone does not affect. The pressure,
+# added below, resists it.
 
 # +
 c = 3.0  # kPa
@@ -66,9 +66,9 @@ def dispersed_fibres(C, J, a1, a2):
 
 # ## Checked before it meets a mesh
 #
-# The workshop tries an energy at single points, in seconds: derivatives, symmetry, rest, stability.
-# Here the fibres lie in the x–y plane. One warning is expected: the tangent jumps where fibres that
-# are not stretched begin to carry load.
+# The workshop checks an energy at single points, in seconds: derivatives, symmetry, the state at
+# rest, stability. Here the fibres lie in the x–y plane. Expect one warning: the tangent jumps where
+# unstretched fibres begin to carry load.
 
 
 # +
@@ -124,7 +124,7 @@ if comm.rank == 0:
 
 # ## Compared with a direct solver
 #
-# One more Newton step, towards one per cent more pressure, by both solvers:
+# Both solvers compute one more Newton step, towards one per cent more pressure:
 
 # +
 boundary.set_pressure(1.01 * loads.mmhg(20.0))

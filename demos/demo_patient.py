@@ -4,16 +4,15 @@
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
-# The wall of a vessel is imaged in the body: under the pressure of the blood, in its bed of
-# tissue, and with a residual stress that would open its layers if they were cut. This program
-# finds the wall without load, inflates it to 80 mmHg, where it has to be the image again, and then
-# to 120 mmHg.
+# A scan shows the wall of a vessel in the body: under blood pressure, supported by tissue, and with
+# a residual stress that would open its layers if they were cut. This program computes the unloaded
+# wall, inflates it to 80 mmHg, where it must match the image, and then to 120 mmHg.
 #
 #     python3 demos/demo_patient.py
 #     mpirun -n 2 python3 demos/demo_patient.py
 #
-# The page *From a scan to an answer* explains the method. The numbers are no patient's. Units: mm,
-# kPa; pressures in mmHg.
+# The page *From a scan to an answer* explains the method. The data are synthetic. Units: mm, kPa;
+# pressures in mmHg.
 
 # +
 from pathlib import Path
@@ -49,9 +48,9 @@ wall, _ = open_wall("vessel", comm, size=size, folder=Path("output/patient"))
 
 # ## Residual stress
 #
-# A ring of each layer opens by an angle when it is cut, and is free of stress then. `Opening`
-# computes the deformation G from the wall to these pieces. The material feels $F_e = F G^{-1}$; a
-# fibre with the direction $a$ in the wall has the direction $G a/|G a|$ in the pieces.
+# A ring of each layer opens by an angle when it is cut, and is then free of stress. `Opening`
+# computes the deformation G from the wall to these pieces. The energy depends on $F_e = F G^{-1}$;
+# a fibre with the direction $a$ in the wall has the direction $G a/|G a|$ in the pieces.
 
 # +
 opening = Opening(wall, {"media": 120.0, "adventitia": 60.0})  # degrees
@@ -69,7 +68,7 @@ J = kinematics.jacobian(F_e)
 
 # ## Material and surroundings
 #
-# The layers are fibre-reinforced (Holzapfel, Gasser, Ogden 2000). Springs are the tissue around
+# The layers are fibre-reinforced (Holzapfel, Gasser, Ogden 2000). Springs model the tissue around
 # the vessel.
 
 # +
@@ -96,9 +95,9 @@ def set_pressure(mmhg):
 
 # ## The wall without load
 #
-# `unload` searches the wall whose nodes are $X = x - u$, where x is a node of the image and u its
-# displacement under the load. It moves the nodes of the mesh to X. Fibres and opening angles
-# follow. Afterwards u is the displacement from there to the image.
+# `unload` computes the wall whose nodes are $X = x - u$, where x is a node of the image and u its
+# displacement under the load. It moves the nodes of the mesh to X and updates fibres and opening
+# angles. Afterwards u is the displacement from X to the image.
 
 # +
 unload(
@@ -120,7 +119,7 @@ pictures.draw(
 
 # ## Back to the image, and on to 120 mmHg
 #
-# An ordinary inflation, which begins at rest:
+# Now inflate the wall from rest:
 
 # +
 u.x.array[:] = 0.0

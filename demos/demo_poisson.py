@@ -4,9 +4,9 @@
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
-# The first problem of every course, solved twice: as in dolfinx, by a direct solver, and by FETI,
-# where the import and the number of subdomains are all that changes. The mesh is refined twice to
-# check the order of convergence.
+# The first problem of every course, solved twice: by a direct solver, as in dolfinx, and by FETI.
+# Only the import and the number of subdomains change. The mesh is refined twice to check the order
+# of convergence.
 #
 #     python3 demos/demo_poisson.py
 #     mpirun -n 4 python3 demos/demo_poisson.py

@@ -94,8 +94,8 @@ problem = NonlinearProblem(
 
 # ## To 80 mmHg, and the pulse
 #
-# `follow_load` finds the equilibrium at 80 mmHg. Then `follow_time` follows the motion for 4 ms.
-# With the stored energy and the external forces, it keeps the account of energy and work.
+# `follow_load` computes the equilibrium at 80 mmHg. Then `follow_time` integrates the motion for 4
+# ms. Given the stored energy and the external forces, it also records energy and work.
 
 
 # +
@@ -143,7 +143,7 @@ steps = follow_time(
 
 # ## The balance of energy
 #
-# The work of the pressure, less the energy that the tissue has dissipated, is in the wall.
+# The work of the pressure, minus the energy dissipated by the tissue, is stored in the wall.
 
 # +
 times, pressures, displacements, kinetic, stored_energies = np.array(records).T

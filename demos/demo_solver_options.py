@@ -69,10 +69,9 @@ subdomain = problem.decomposition.subdomain  # of each cell
 #
 # ## Several choices
 #
-# The first two rows are in the primal form, the others in the dual one, which is the paper's and
-# alone has weights Q and other preconditioners. All have the same subdomains: they depend on the
-# mesh and their number, and not on the run. A misspelt option is an error that names the nearest
-# known one.
+# The first two rows use the primal form. The others use the dual one, that of the paper, which has
+# weights Q and a choice of preconditioners. All have the same subdomains, which depend only on the
+# mesh and their number. A misspelt option is an error that names the nearest known one.
 
 # +
 choices = {

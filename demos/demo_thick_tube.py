@@ -100,9 +100,9 @@ ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
 
 # ## Energy and load
 #
-# The pressure p inside of the rubber is linear in each cell and not continuous. The potential of
-# the pressure in the lumen is −P times the enclosed volume, here that between two planes normal to
-# the axis; with it the whole problem is one energy of u and p.
+# The pressure p inside the rubber is linear in each cell and discontinuous. The potential of the
+# pressure in the lumen is −P times the enclosed volume, here that between two planes normal to the
+# axis. The whole problem is therefore one energy of u and p.
 
 # +
 u = dolfinx.fem.Function(V, name="u")
@@ -118,7 +118,7 @@ problem = NonlinearProblem(energy, u, bcs=bcs, condense=p, subdomains=4, quadrat
 
 # ## Inflation, in steps that adapt
 #
-# In each equilibrium the mean radius of the lumen is recorded.
+# `on_step` records the mean radius of the lumen in each equilibrium.
 
 # +
 X = ufl.SpatialCoordinate(mesh)

@@ -5,8 +5,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 #
 # The solver does not need dolfinx. It reads a *torn* matrix: a PETSc MATIS whose local matrix has
-# one block per subdomain. Here numpy and scipy make one, for the heat in a plate; FETI and PETSc's
-# own PCBDDC solve with it.
+# one block per subdomain. Here numpy and scipy assemble one, for heat conduction in a plate; FETI
+# and PETSc's PCBDDC solve with it.
 #
 #     python3 demos/demo_torn_matrix.py
 #     mpirun -n 4 python3 demos/demo_torn_matrix.py
