@@ -93,8 +93,9 @@ feti = ksp.getPythonContext()
 
 # ## PCBDDC on the same squares
 #
-# PETSc's balancing method takes a MATIS, too, but with one subdomain per process, and with the
-# conditions built in. So the matrix is assembled again from the squares of each process together.
+# PETSc's balancing method also takes a MATIS, but with one subdomain per process and with the
+# conditions built in. The program therefore assembles the matrix again, with the squares of each
+# process as one subdomain.
 
 # +
 rows, local = np.unique(to_global, return_inverse=True)
@@ -130,7 +131,7 @@ assert ksp.getConvergedReason() > 0 and balancing.getConvergedReason() > 0
 assert difference < 1e-6
 # -
 
-# On one process PCBDDC has a single subdomain, which it factors. Run it on several to compare.
+# On one process PCBDDC factors this single subdomain. Run it on several to compare.
 #
 # ## The temperature
 

@@ -220,7 +220,7 @@ def _add_colour_bar(
     bar.formatter = formatter
     bar.update_ticks()
     bar.ax.xaxis.offsetText.set_visible(False)  # its default place is on top of the label
-    formatter.set_locs(bar.get_ticks())
+    formatter.set_locs([float(tick) for tick in bar.get_ticks()])
     factor = formatter.get_offset()  # a power of ten, or empty
     bar.set_label(f"{label} {factor}".rstrip(), fontsize=FONT_SIZE, color=ink, labelpad=1)
     bar.ax.tick_params(labelsize=TICK_SIZE, colors=ink)
