@@ -42,23 +42,27 @@ GREATEST_RATIO = 2.0
 
 #: Share of the cells that may be distorted without a warning: a few cells at a corner of a load or
 #: a support are distorted on any mesh. A rim that bends has one in fifty.
-SHARE_DISTORTED = 1e-3
+MAX_SHARE_DISTORTED = 1e-3
 
+#: Advice on bad cells with a node whose whole displacement is prescribed.
 CLAMPED = (
     "At a clamp det F degenerates with any element and on any mesh: hold the body by soft springs, "
     "let it slide, or evaluate no stress in the cells beside the clamp."
 )
 
+#: Advice on other bad cells of elements whose pressure is constant in each cell.
 SECOND_ORDER = (
     "Take elements of second order, which keep the volume inside of the cells: Q2 with DPC 1, or "
     "P2 with bubbles and a linear pressure on a mesh as fine (docs: Which elements?)."
 )
 
+#: Advice on other bad cells of all other elements.
 REFINE = (
     "Refine the mesh there, and spread loads that end or change abruptly; a higher quadrature "
     "degree does not help."
 )
 
+#: Coordinates of a point, as many as the mesh has; none without a point.
 Point: TypeAlias = tuple[float, ...]
 
 
@@ -104,7 +108,7 @@ class CellVolumes:
     @property
     def is_sound(self) -> bool:
         """True if no cell is inverted and at most one in a thousand is distorted."""
-        return self.inverted == 0 and self.share_distorted <= SHARE_DISTORTED
+        return self.inverted == 0 and self.share_distorted <= MAX_SHARE_DISTORTED
 
     @property
     def bad(self) -> int:
@@ -161,27 +165,33 @@ def summarise_volumes(
     low: Point = ()
     high: Point = ()
     if n_inverted or n_distorted:
-        low, high = (
-            _point(x, mesh) for x in bounding_box(_midpoints(mesh, np.flatnonzero(bad)), comm)
-        )
-    least = np.where(np.isfinite(values.minimum), values.minimum, -np.inf)
-    own_worst = _midpoints(mesh, np.argsort(least)[:1])
-    least_here = float(least.min(initial=np.inf))
-    found = comm.allgather((least_here, [_point(x, mesh) for x in own_worst]))
-    least_of_all, places = min(found, key=lambda pair: pair[0])
+        lower, upper = bounding_box(_midpoints(mesh, np.flatnonzero(bad)), comm)
+        low = _point(lower, mesh)
+        high = _point(upper, mesh)
+    least, worst = _worst_cell(values, mesh)
     greatest = np.where(np.isfinite(values.maximum), values.maximum, np.inf)
     return CellVolumes(
         name=name,
-        least=least_of_all,
+        least=least,
         greatest=comm.allreduce(float(greatest.max(initial=-np.inf)), op=MPI.MAX),
         cells=n_cells,
         inverted=n_inverted,
         distorted=n_distorted,
         clamped=n_clamped,
-        worst=places[0] if places else (),
+        worst=worst,
         low=low,
         high=high,
     )
+
+
+def _worst_cell(values: CellValues, mesh: dolfinx.mesh.Mesh) -> tuple[float, Point]:
+    """Return the smallest value of all cells, and the midpoint of its cell. Collective."""
+    least = np.where(np.isfinite(values.minimum), values.minimum, -np.inf)
+    here: tuple[float, Point] = (np.inf, ())
+    if len(least):
+        worst = np.argmin(least, keepdims=True)
+        here = (float(least[worst[0]]), _point(_midpoints(mesh, worst)[0], mesh))
+    return min(mesh.comm.allgather(here), key=lambda pair: pair[0])
 
 
 def advise_on_volumes(volumes: CellVolumes, *, has_constant_pressure: bool) -> list[Advice]:
