@@ -57,14 +57,14 @@ class TornSpace:
     Attributes:
         V: The user's space.
         V_torn: Space with the same mesh and element and the torn dofs of this process.
-        dof: Block of V on this process that each torn block is a copy of, (n_blocks,).
-        to_global: The number of that block over all processes, (n_blocks,).
+        local_block: Block of V on this process that each torn block is a copy of, (n_blocks,).
+        global_block: The number of that block over all processes, (n_blocks,).
     """
 
     V: dolfinx.fem.FunctionSpace
     V_torn: dolfinx.fem.FunctionSpace
-    dof: Indices
-    to_global: Numbers
+    local_block: Indices
+    global_block: Numbers
 
 
 def suggested_number(V: dolfinx.fem.FunctionSpace, minimum: int = 1) -> int:
@@ -137,16 +137,16 @@ def tear(V: dolfinx.fem.FunctionSpace, decomposition: Decomposition) -> TornSpac
     """
     cells = V.dofmap.list
     owned = cells[: len(decomposition.subdomain)]
-    n_dofs = V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts
-    pair = decomposition.subdomain[:, None].astype(np.int64) * n_dofs + owned
+    n_blocks = V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts
+    pair = decomposition.subdomain[:, None].astype(np.int64) * n_blocks + owned
     copies, torn = np.unique(pair, return_inverse=True)
     table = np.zeros(cells.shape, dtype=np.int32)  # cells of other processes are never assembled
     table[: len(owned)] = torn.reshape(owned.shape)
     # a process without dofs has no copies, and NumPy warns of a division by zero
-    dof = (copies % n_dofs).astype(np.int32) if n_dofs else copies.astype(np.int32)
+    local_block = (copies % n_blocks).astype(np.int32) if n_blocks else copies.astype(np.int32)
     V_torn = compat.create_function_space(V, table, len(copies))
-    to_global = V.dofmap.index_map.local_to_global(dof)
-    return TornSpace(V, V_torn, dof, to_global)
+    global_block = V.dofmap.index_map.local_to_global(local_block)
+    return TornSpace(V, V_torn, local_block, global_block)
 
 
 def cell_sizes(space: TornSpace) -> Array:
@@ -155,7 +155,7 @@ def cell_sizes(space: TornSpace) -> Array:
     dofmap = space.V_torn.dofmap
     n_cells = mesh.topology.index_map(mesh.topology.dim).size_local
     h = mesh.h(mesh.topology.dim, np.arange(n_cells, dtype=np.int32))
-    size = np.zeros(len(space.dof))
+    size = np.zeros(len(space.local_block))
     np.maximum.at(size, dofmap.list[:n_cells], h[:, None])
     return np.repeat(size, dofmap.index_map_bs)
 

@@ -48,7 +48,7 @@ def create_torn_matrix_on(
     sizes = (index_map.size_local * bs, index_map.size_global * bs)
     comm = space.V.mesh.comm
     A = create_torn_matrix(
-        K, space.to_global, sizes, comm=comm, stiffness=stiffness, symmetric=symmetric
+        K, space.global_block, sizes, comm=comm, stiffness=stiffness, symmetric=symmetric
     )
     set_dirichlet_dofs(A, dirichlet_mask(space.V, bcs))
     return A

@@ -125,17 +125,17 @@ def test_torn_dofs_are_pairs_of_subdomain_and_dof(mesh, family, degree, componen
     space = tear(V, decomposition)
     n = cells(mesh)
     table = space.V_torn.dofmap.list
-    equal(space.dof[table[:n]], V.dofmap.list[:n])
-    subdomain = np.full(len(space.dof), -1)
+    equal(space.local_block[table[:n]], V.dofmap.list[:n])
+    subdomain = np.full(len(space.local_block), -1)
     subdomain[table[:n]] = decomposition.subdomain[:, None]
     agree(np.all(subdomain >= 0) and np.all(np.diff(subdomain) >= 0))  # numbered by subdomains
     equal(subdomain[table[:n]], np.broadcast_to(decomposition.subdomain[:, None], table[:n].shape))
-    pairs = np.unique(np.column_stack([subdomain, space.dof]), axis=0)
-    agree(len(pairs) == len(space.dof))
-    equal(space.to_global, V.dofmap.index_map.local_to_global(space.dof))
+    pairs = np.unique(np.column_stack([subdomain, space.local_block]), axis=0)
+    agree(len(pairs) == len(space.local_block))
+    equal(space.global_block, V.dofmap.index_map.local_to_global(space.local_block))
     agree(space.V_torn.dofmap.index_map_bs == V.dofmap.index_map_bs)
     agree(space.V_torn.mesh is mesh and space.V_torn.ufl_element() == V.ufl_element())
-    copies = np.bincount(whole(space.to_global), minlength=V.dofmap.index_map.size_global)
+    copies = np.bincount(whole(space.global_block), minlength=V.dofmap.index_map.size_global)
     agree(copies.min() >= 1)
     if family == "DG":
         agree(copies.max() == 1)

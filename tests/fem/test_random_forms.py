@@ -77,7 +77,7 @@ def torn(form: ufl.Form, V: dolfinx.fem.FunctionSpace) -> tuple[np.ndarray, int]
     split = split_torn_form(form, space, compiler)
     assembly.assemble(K, split)
     K.mat.destroy()
-    at = (space.to_global[:, None] * bs + np.arange(bs)).ravel()
+    at = (space.global_block[:, None] * bs + np.arange(bs)).ravel()
     return added(dense(K.csr, len(at), len(at)), V, at, at), len(split.kernels)
 
 

@@ -106,12 +106,12 @@ def test_rotations_turn_the_internal_forces(degree):
     V = body.u.function_space
     space = tear(V, problem.decomposition)
     internal = ufl.derivative(body.energy, body.u, ufl.TestFunction(V))
-    f = np.zeros(3 * len(space.dof))
+    f = np.zeros(3 * len(space.local_block))
     dolfinx.fem.assemble_vector(f, dolfinx_form(internal, (space,), Compiler(COMM)))
     x = V.tabulate_dof_coordinates() + body.u.x.array.reshape(-1, 3)
     torn = Torn(problem.A)
     for ω in np.eye(3):
-        image = torn.multiply(np.cross(ω, x[space.dof]).ravel())
+        image = torn.multiply(np.cross(ω, x[space.local_block]).ravel())
         equal(image, np.cross(ω, f.reshape(-1, 3)).ravel(), 1e-10)
     agree(np.abs(f).max() > 1e-2)
     torn.destroy()

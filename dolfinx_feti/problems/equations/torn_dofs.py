@@ -25,7 +25,9 @@ class TornDofs:
         bs = dofmap.index_map_bs
         self._V = space.V
         self._owned = dofmap.index_map.size_local * bs
-        self.local: Indices = (space.dof[:, None] * bs + np.arange(bs, dtype=np.int32)).ravel()
+        self.local: Indices = (
+            space.local_block[:, None] * bs + np.arange(bs, dtype=np.int32)
+        ).ravel()
 
     def tear(self, x: Array) -> Array:
         """Return T x, (n,), of owned entries, (owned,). Collective."""
