@@ -34,7 +34,7 @@ def block_graph(K: CSRMatrix, bs: int) -> scipy.sparse.csr_array:
     return scipy.sparse.csr_array(arrays, (n // bs, n // bs))
 
 
-def connected_blocks(graph: scipy.sparse.csr_array, bs: int) -> list[Indices]:
+def rows_of_components(graph: scipy.sparse.csr_array, bs: int) -> list[Indices]:
     """Return the rows of each connected component of a matrix, whose dofs come in blocks.
 
     Args:

@@ -39,7 +39,7 @@ from dolfinx_feti.runtime.star_forest import (
     gather_leaves,
     sum_leaves,
 )
-from dolfinx_feti.torn.connectivity import block_graph, connected_blocks, diagonal_places
+from dolfinx_feti.torn.connectivity import block_graph, diagonal_places, rows_of_components
 from dolfinx_feti.torn.symmetry import is_symmetric
 
 #: Name of the IS of global dofs with a prescribed value that is attached to a torn matrix.
@@ -326,7 +326,7 @@ class Torn:
             with csr_of(self.K) as csr:
                 self.graph = block_graph(csr, bs)
             self._diagonal_places = diagonal_places(self.K)
-            self.subdomains = connected_blocks(self.graph, bs)
+            self.subdomains = rows_of_components(self.graph, bs)
 
         on_all(read, self.comm)
 

@@ -80,8 +80,8 @@ class CoarseSolver:
                 in its row. If None, N_c times the rounding unit by fronts, and zero in a group.
             block_widths: Rows of each block of this process, for a factor by fronts: the rows of a
                 block are consecutive, have the same columns, and are on one process, and the widths
-                have the sum n_c. None to leave out fronts, because N is known to be indefinite or
-                nearly singular.
+                have the sum n_c. None if fronts are not to be tried, because N is known to be
+                indefinite or nearly singular.
 
         Raises:
             SetUpError: The options are wrong, the factorisation failed, or N does not have these
