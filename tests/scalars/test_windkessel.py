@@ -35,6 +35,19 @@ def march(windkessel, problem, dt, count, flow):
     return np.array(pressures)
 
 
+@pytest.mark.parametrize("last_dt", [0.0, 0.1, 0.3], ids=["first-step", "longer", "shorter"])
+def test_rates_are_exact_for_parabolas(last_dt):
+    """BDF2 of two unequal steps; the first step has no second one, and is exact for lines."""
+    ball = balloon(2)
+    windkessel = Windkessel(Cavity(ball.u, ball.ds(1)), resistance=R, compliance=C)
+    windkessel.history.value[0] = last_dt
+    windkessel.begin_step(0.2)
+    times = np.array([0.0, -0.2, -0.2 - last_dt])  # of y, y_n and y_{n−1}
+    powers = np.arange(3 if last_dt > 0.0 else 2)
+    derivatives = np.where(powers == 1, 1.0, 0.0)  # of 1, t and t² at t = 0
+    equal(windkessel._rates.value @ times[:, None] ** powers, derivatives, 1e-14)
+
+
 @pytest.mark.parametrize(("unit", "stiffness", "second"), [(1e3, 1e-6, 1e-3), (1e-3, 1e6, 60.0)])
 def test_law_of_units(unit, stiffness, second):
     """Pressures scale as they must, and steps not at all, for R, C and Z in the same units."""
