@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cases import each
 from collective import COMM, agree, equal, norm, raises, small
 from ufl_values import scalar
 from walls import INNER, LUMEN, OUTER, fibres, lumen_measure, symmetric, tube, under_pressure
@@ -138,10 +139,10 @@ def test_image_in_balance():
     small(scan.moved(), 1e-8)
     small(scan.mean_hoop_stress() / (loads.mmhg(80.0) * INNER / (OUTER - INNER)) - 1.0, 1e-3)
     unloaded.find(80.0, fibres=unloaded.fibres)
-    stress, other = (cell_values(each.hoop_stress(), each.mesh) for each in (unloaded, scan))
+    stress, other = (cell_values(body.hoop_stress(), body.mesh) for body in (unloaded, scan))
     small(norm(other - stress), 0.04 * norm(stress))
-    for each in (scan, unloaded):
-        each.inflate(80.0, 120.0)
+    for body in (scan, unloaded):
+        body.inflate(80.0, 120.0)
     agree(scan.moved() > 0.03, scan.moved())
     small(scan.mean_hoop_stress() / unloaded.mean_hoop_stress() - 1.0, 0.01)
 
@@ -299,27 +300,48 @@ def test_failure_leaves_the_image(prestressed):
     agree(float(scan.load.value) == 0.0 and not scan.u.x.array.any())
 
 
-def test_bad_input():
+@pytest.mark.parametrize("tolerance", [0.0, -1.0, np.nan])
+def test_bad_tolerance(tolerance):
     scan = Scan(prestressed=True)
-    given = {"targets": [1.0], "steps": STEPS}
-    for tolerance in (0.0, -1.0, np.nan):
-        with raises(ValueError, "tolerance is .*: give a positive share of the diameter"):
-            scan.find(1.0, tolerance=tolerance)
-        with raises(ValueError, "tolerance is .*: give a positive share of the diameter"):
-            unload(scan.problem, scan.set_load, **given, tolerance=tolerance)
+    message = "tolerance is .*: give a positive share of the diameter"
+    with raises(ValueError, message):
+        scan.find(1.0, tolerance=tolerance)
+    with raises(ValueError, message):
+        unload(scan.problem, scan.set_load, targets=[1.0], steps=STEPS, tolerance=tolerance)
 
-    def other(*element: object) -> dolfinx.fem.Function:
-        G = dolfinx.fem.Function(dolfinx.fem.functionspace(scan.mesh, element))
-        G.x.array[:] = np.resize(np.eye(3).ravel(), len(G.x.array))
-        return G
 
-    for error, G, match in (
-        (TypeError, ufl.Identity(3), "G is .*: give .*Function"),
-        (ValueError, other("DG", 0, (3,)), r"G has the shape \(3,\): give a .* shape \(3, 3\)"),
-        (ValueError, other("Lagrange", 1, (3, 3)), "whose dofs cells share"),
-    ):
-        with raises(error, match):
-            scan.find(1.0, G=G)
+def identity(mesh: dolfinx.mesh.Mesh, *element: object) -> dolfinx.fem.Function:
+    """Return the identity, or the beginning of its entries, as a function of an element."""
+    G = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
+    G.x.array[:] = np.resize(np.eye(3).ravel(), len(G.x.array))
+    return G
+
+
+#: What is given as G, the error, and its message.
+WRONG_G = {
+    "expression": (lambda mesh: ufl.Identity(3), TypeError, "G is .*: give .*Function"),
+    "vector": (
+        lambda mesh: identity(mesh, "DG", 0, (3,)),
+        ValueError,
+        r"G has the shape \(3,\): give a .* shape \(3, 3\)",
+    ),
+    "continuous": (
+        lambda mesh: identity(mesh, "Lagrange", 1, (3, 3)),
+        ValueError,
+        "whose dofs cells share",
+    ),
+}
+
+
+@each(("create", "error", "message"), WRONG_G)
+def test_bad_prestress(create, error, message):
+    scan = Scan(prestressed=True)
+    with raises(error, message):
+        scan.find(1.0, G=create(scan.mesh))
+
+
+def test_first_guess_of_a_prestress_is_the_identity():
+    scan = Scan(prestressed=True)
     scan.G.x.array[:] = 0.0
     with raises(ValueError, "det G = 0 somewhere: let G be the identity at first"):
         scan.find(1.0)

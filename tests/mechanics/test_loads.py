@@ -10,6 +10,7 @@ import functools
 import numpy as np
 import problems
 import pytest
+from cases import each
 from problems import dirichlet, left, right, tagged
 from ufl_values import scalar
 
@@ -184,23 +185,45 @@ def test_nothing_to_add():
         assert nothing.empty() and stiffness + nothing == stiffness
 
 
-def test_bad_arguments():
+#: Wrong arguments of the tangent, made of u and ds, and the message.
+WRONG_TANGENT = {
+    "expression": (
+        lambda u, ds: (2 * u, ds(1), {"bcs": []}),
+        r"needs a dolfinx\.fem\.Function; give kind='symmetric' if",
+    ),
+    "no-facets": (
+        lambda u, ds: (u, ds(7), {"bcs": []}),
+        "ds has no facets: give the measure the facet tags",
+    ),
+    "kind": (lambda u, ds: (u, ds, {"kind": "half"}), "kind = 'half'"),
+}
+
+
+@each(("arguments", "message"), WRONG_TANGENT)
+def test_bad_arguments_of_the_tangent(arguments, message):
     V, ds = cube(3)
-    u = function(V, bulge)
     v = ufl.TestFunction(V)
     du = ufl.TrialFunction(V)
-    for displacement, part, more, match in (
-        (2 * u, ds(1), {"bcs": []}, r"needs a dolfinx\.fem\.Function; give kind='symmetric' if"),
-        (u, ds(7), {"bcs": []}, "ds has no facets: give the measure the facet tags"),
-        (u, ds, {"kind": "half"}, "kind = 'half'"),
-    ):
-        with pytest.raises(ValueError, match=match):
-            loads.follower_pressure_tangent(PRESSURE, displacement, v, du, part, **more)
+    u, surface, options = arguments(function(V, bulge), ds)
+    with pytest.raises(ValueError, match=message):
+        loads.follower_pressure_tangent(PRESSURE, u, v, du, surface, **options)
+
+
+def test_infinite_pressure():
+    V, ds = cube(3)
     with pytest.raises(ValueError, match="p = inf"):
-        loads.pressure_potential(float("inf"), u, ds)
-    for axis in ((0.0, 0.0, 0.0), (0.0, 1.0), (float("nan"), 0.0, 1.0)):
-        with pytest.raises(ValueError, match="axis = "):
-            loads.enclosed_volume(u, ds, axis)
+        loads.pressure_potential(float("inf"), function(V, bulge), ds)
+
+
+@pytest.mark.parametrize(
+    "axis",
+    [(0.0, 0.0, 0.0), (0.0, 1.0), (float("nan"), 0.0, 1.0)],
+    ids=["zero", "two-components", "nan"],
+)
+def test_bad_axis(axis):
+    V, ds = cube(3)
+    with pytest.raises(ValueError, match="axis = "):
+        loads.enclosed_volume(function(V, bulge), ds, axis)
 
 
 @pytest.mark.parametrize(("dim", "axis"), [(2, None), (3, None), (3, (0.0, 0.0, 2.0)), (2, (1, 1))])

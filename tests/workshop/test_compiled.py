@@ -151,9 +151,14 @@ def test_bad_material(psi, options, error, message):
         compile_material(psi, **options, jit_options=JIT)
 
 
-def test_bad_states_and_parameters():
-    for F in (np.eye(2), np.ones(9), np.empty((0, 3, 3))):
-        with pytest.raises(ValueError, match="F has the shape"):
-            evaluate(compiled(neo_hookean), F)
+@pytest.mark.parametrize(
+    "F", [np.eye(2), np.ones(9), np.empty((0, 3, 3))], ids=["plane", "nine-numbers", "no-state"]
+)
+def test_bad_states(F):
+    with pytest.raises(ValueError, match="F has the shape"):
+        evaluate(compiled(neo_hookean), F)
+
+
+def test_parameters_that_are_not_compiled():
     with pytest.raises(ValueError, match=r"compiled with the parameters \['c'\]"):
         material(neo_hookean, c=1.0).with_parameters(k=2.0)
