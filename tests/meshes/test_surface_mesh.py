@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cases import each
 from collective import agree, equal, small
 from mesh_files import pipe, watertight, write_stl
 
+from dolfinx_feti.meshes import surface
 from dolfinx_feti.meshes.layers import Rim, create_sheets, grow_wall
 from dolfinx_feti.meshes.quality import measure_quality
 from dolfinx_feti.meshes.remesh import remesh
@@ -27,6 +29,23 @@ def test_surfaces_are_read(tmp_path, name):
     # the points are numbered anew
     key = [np.lexsort(np.round(p[r].mean(axis=1), 5).T) for p, r in ((x, t), (y, s))]
     equal(x[t[key[0]]].mean(axis=1), y[s[key[1]]].mean(axis=1), 1e-6)
+
+
+#: A point, and the nearest point of the triangle (0, 0), (1, 0), (0, 1) in the plane z = 0.
+NEAREST = {
+    "above": ((0.25, 0.25, 1.0), (0.25, 0.25, 0.0)),
+    "beyond the longest edge": ((1.0, 1.0, 0.5), (0.5, 0.5, 0.0)),
+    "beyond a short edge": ((0.5, -1.0, 0.5), (0.5, 0.0, 0.0)),
+    "beyond the right angle": ((-1.0, -1.0, 0.5), (0.0, 0.0, 0.0)),
+    "beyond a sharp corner": ((3.0, -1.0, 0.5), (1.0, 0.0, 0.0)),
+}
+
+
+@each(("point", "expected"), NEAREST)
+def test_nearest_point_of_a_triangle(point, expected):
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    found = surface._nearest_on_triangles(np.array(point), *corners)
+    equal(found, expected, 1e-15)
 
 
 def test_remeshing_makes_good_triangles():

@@ -86,6 +86,21 @@ def test_every_exterior_facet_has_its_surface(wall):
         plane(wall, "lumen")
 
 
+@pytest.mark.parametrize(("step", "is_plane"), [(1e-8, True), (1e-5, False)])
+def test_plane_up_to_rounding_of_single_precision(step, is_plane):
+    """A step of the opening, in mm; the wall has an extent of some 3 mm."""
+    stepped = read_wall(EXAMPLE, COMM)
+    x = stepped.mesh.geometry.x
+    x[np.isclose(x[:, 2], 0.0) & (x[:, 0] > 0.0), 2] += step
+    if is_plane:
+        axis, z = plane(stepped, "opening_1")
+        agree(axis == 2)
+        small(z, step)
+        return
+    with raises(ValueError, "'opening_1' lies in no plane"):
+        plane(stepped, "opening_1")
+
+
 def test_names(wall):
     agree(wall.layers == {"media": 1, "adventitia": 2} and len(wall.names) == 6)
     agree(wall.names == {name: GROUPS[name][1] for name in wall.names})
