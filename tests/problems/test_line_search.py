@@ -103,6 +103,8 @@ def valley(pit):
 
 
 SINGLE = {"r": lambda u: u - 1.0}
+#: −g(α)/g(0) is 3 at the whole step, 0.7 at the zero of its secant, 1/4, and −0.1 at half of that.
+OVERSHOOTING = {"r": lambda u: float(np.interp(u, [0.0, 0.125, 0.25, 1.0], [-1.0, -0.1, 0.7, 3.0]))}
 WEAK = {"r": lambda u: -1.0}
 CASES = {
     "whole, to the zero": (SINGLE, False, 1.0),
@@ -110,6 +112,7 @@ CASES = {
     "whole, g(1)/g(0) = 1": (WEAK, False, 1.0),
     "zero of the secant": ({"r": lambda u: 4.0 * u - 1.0}, False, 0.25),
     "halved until no cell is inside out": ({**SINGLE, "inverted": lambda u: u > 0.2}, False, 0.125),
+    "shorter still after an overshoot": (OVERSHOOTING, False, 0.125),
     "no admissible step": ({**SINGLE, "inverted": lambda u: u > 0.0}, False, 0.0),
     "NaN": ({"r": lambda u: np.nan if u > 0.3 else u - 1.0}, False, 0.25),
     "Π has to fall": ({**WEAK, "potential": lambda u: (u - 0.2) ** 2}, False, 0.25),
