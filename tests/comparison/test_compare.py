@@ -29,6 +29,7 @@ from dolfinx_feti.comparison import (
     assembled_system,
     create_solver,
     measure,
+    relative_difference,
     relative_residual,
     run,
     solvers,
@@ -131,6 +132,20 @@ def test_options_stand_back_behind_the_users():
         agree(ksp.getPC().getMGSmoother(1).getPC().getType() == kind)
         ksp.destroy()
     for made in (K, f, b):
+        made.destroy()
+
+
+def test_differences_and_residuals_are_relative():
+    """‖3 y − y‖/‖y‖ = 2, and ‖f − 3 K x‖/‖f‖ = 2 for f = K x."""
+    problem = linear(poisson(cube(2, 4)), 3)
+    A, b = problem.linear_system()
+    K, x = assembled_system(A, b)
+    x.set(1e6)
+    f = K * x
+    multiple = 3.0 * x
+    small(relative_difference(multiple, x) - 2.0, 1e-12)
+    small(relative_residual(K, f, multiple) - 2.0, 1e-12)
+    for made in (K, f, x, multiple, b):
         made.destroy()
 
 

@@ -133,6 +133,15 @@ def test_few_and_many_dofs(monkeypatch):
     agree(said == ["Take more subdomains."], said)
 
 
+def test_one_subdomain_for_each_process_is_not_too_small():
+    """There can be no fewer, however few dofs it has."""
+    problem = torn(poisson(cube(2, 6)), COMM.size)
+    problem.solve()
+    found = problem.diagnose()
+    agree(found.figures.subdomains_per_process.largest == 1)
+    agree("mean dofs of a subdomain" not in [each.quantity for each in found.advice], found)
+
+
 def test_many_iterations(monkeypatch):
     """Without a preconditioner there are many."""
     monkeypatch.setattr(advice, "FEW_DOFS", 0)
