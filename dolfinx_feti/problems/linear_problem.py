@@ -318,7 +318,7 @@ class LinearProblem(TornProblem):
             failures_as_reasons(self.solver),
             python_errors(self.solver),
         ):
-            self._solve_from_zero(residual.of_u)
+            ds = self._solve_from_zero(residual.of_u)
             warn_of_unread_options(self.solver, self._prefix, self._petsc_options)
         solved = time.perf_counter()
         feti = self.solver.getPythonContext()
@@ -336,7 +336,6 @@ class LinearProblem(TornProblem):
         )
         if self.solver.getConvergedReason() < 0:
             raise ConvergenceError(f"FETI did not converge: {feti.message}")
-        ds = self._system.scalars.increment  # of the solve above
         solution = self._system.increment(residual, self.x.array_r, ds)  # from zero
         self._system.scalars.set_values(solution.s)
         self.unknown.x.array[: self.x.getLocalSize()] = self.x.array_r
@@ -350,7 +349,7 @@ class LinearProblem(TornProblem):
             field.x.scatter_forward()
             begin = end
 
-    def _solve_from_zero(self, r: Array) -> None:
+    def _solve_from_zero(self, r: Array) -> Array:
         """Solve A u + B s = −r and the equations of s, with u stored in ``x``. Collective.
 
         The equations of scalars are linearised at u = 0, s = 0. They are written in the solution
@@ -358,6 +357,9 @@ class LinearProblem(TornProblem):
 
         Args:
             r: Residual at zero, with −g on Dirichlet dofs, (owned,).
+
+        Returns:
+            s, (m,).
         """
         scalars = self._system.scalars
         u = self.unknown.x.array.copy()
@@ -367,10 +369,11 @@ class LinearProblem(TornProblem):
         try:
             scalars.check()
             scalars.linearise()
-            self.x.array[:] = scalars.solve(self.solver, self.A, r, scalars.residual())
+            self.x.array[:], ds = scalars.solve(self.solver, self.A, r, scalars.residual())
         finally:
             self.unknown.x.array[:] = u
             scalars.set_values(s)
+        return ds
 
 
 class MixedUnknowns(NamedTuple):

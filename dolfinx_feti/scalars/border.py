@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The border that m scalars add to a matrix A, and the Schur complement S of A.
+r"""The border that m scalars add to a matrix A, and block elimination with it.
 
 .. math:: \begin{pmatrix} A & B \\ C^⊤ & D \end{pmatrix}, \qquad S = D - C^⊤ X, \quad A X = B
 
@@ -21,7 +21,7 @@ import numpy.typing as npt
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all, total_of
 
-__all__ = ["Border", "BorderComplement", "without_zeros"]
+__all__ = ["BlockElimination", "Border", "without_zeros"]
 
 #: Smallest singular value of the scaled S, relative to the largest, at which the bordered matrix
 #: counts as regular. Rounding leaves 1e-15 in a singular one. With X at the default tolerance of
@@ -41,26 +41,41 @@ class Border:
         B: Columns, (N, m); rows of Dirichlet dofs count as zero.
         C: Rows of the equations, transposed, (N, m).
         D: Corner, (m, m).
+        springs: Number of the last scalars that are forces of springs (``springs``). The right-hand
+            sides of their equations are zero.
     """
 
     B: Array
     C: Array
     D: Array
+    springs: int = 0
 
-    def pad(self, d: Array) -> Array:
-        """Return d, (up to m,), filled up with zeros, (m,).
+    @classmethod
+    def zero(cls, N: int, m: int) -> Border:
+        """Return a border of zeros for N dofs and m scalars."""
+        return cls(np.zeros((N, m)), np.zeros((N, m)), np.zeros((m, m)))
 
-        The scalars without an entry are the last ones. They are the forces of springs, whose
-        equations have a zero right-hand side (``springs``).
-        """
-        return np.concatenate([d, np.zeros(len(self.D) - len(d))])
+    def with_springs(self, d: Array) -> Array:
+        """Return values of the other scalars, (m − springs,), with zeros for the springs, (m,)."""
+        return np.concatenate([d, np.zeros(self.springs)])
+
+    def without_springs(self, s: Array) -> Array:
+        """Return the values s, (m,), of the other scalars, (m − springs,)."""
+        return s[: len(s) - self.springs]
 
 
-class BorderComplement:
-    """S = D − Cᵀ X in its singular value decomposition, on all processes.
+class BlockElimination:
+    """Block elimination in a bordered system, with X = A⁻¹ B or an approximation of it.
+
+    Given y = A⁻¹ b, the solution is
+
+        (D − Cᵀ X) s = d − Cᵀ y,    x = y − X s.
+
+    S = D − Cᵀ X is stored in its singular value decomposition, on all processes.
 
     Attributes:
-        is_singular: Whether the bordered matrix is singular.
+        X: A⁻¹ B, (N, m).
+        is_singular: Whether S is singular, and the bordered matrix with it.
     """
 
     def __init__(self, border: Border, X: Array, comm: MPI.Comm) -> None:
@@ -71,6 +86,9 @@ class BorderComplement:
             X: A⁻¹ B, (N, m).
             comm: Communicator.
         """
+        self._border = border
+        self.X = X
+        self._comm = comm
         S = border.D - total_of(border.C.T @ X, comm)  # S = D − Cᵀ X
         self._rows = np.ones(len(S))
         self._columns = np.ones(len(S))
@@ -88,16 +106,59 @@ class BorderComplement:
         """Return S with scaled rows and columns, (m, m)."""
         return np.asarray(self._rows[:, None] * S * self._columns)
 
-    def solve(self, d: Array) -> Array:
+    def solve(self, y: Array, d: Array) -> tuple[Array, Array]:
+        """Return the solution for y = A⁻¹ b and d. Collective.
+
+        Args:
+            y: A⁻¹ b or an approximation of it, (N,).
+            d: Second right-hand side, (m,).
+
+        Returns:
+            x, (N,), and s, (m,); y and zeros if S is singular.
+        """
+        s = self.solve_for_scalars(y, d)
+        return y - self.X @ s, s  # x = y − X s
+
+    def solve_for_scalars(self, y: Array, d: Array) -> Array:
+        """Return s of :meth:`solve` alone, (m,). Collective."""
+        return self._solve_complement(d - total_of(self._border.C.T @ y, self._comm))
+
+    def error_of_scalars(self, ds: Array, s: Array, x: Array) -> float:
+        r"""Return the estimated error η of the scalars for a correction of them. Collective.
+
+        It is the largest :math:`|δs_k|` relative to the size of s_k,
+
+        .. math:: |s_k| + \sum_l |S^{-1}|_{kl} \Bigl(\sum_j C_{jl}^2 x_j^2\Bigr)^{1/2}.
+
+        The second term matters if s_k is about zero because contributions of x cancel: s_k is
+        accurate to their rounding only. The forces of springs do not count.
+
+        Args:
+            ds: Correction δs of the scalars without springs, (m − springs,).
+            s: These scalars, or their largest sizes among several iterates.
+            x: x, or the largest sizes of x_j among several iterates, (N,).
+        """
+        if not len(ds):
+            return 0.0
+        row_sizes = np.sqrt(
+            total_of((self._border.C**2).T @ x**2, self._comm)
+        )  # (Σ_j C_jl² x_j²)^½
+        size = np.abs(s) + self._border.without_springs(self._absolute_inverse() @ row_sizes)
+        ratio = np.full(len(ds), np.inf)
+        np.divide(np.abs(ds), size, out=ratio, where=size > 0.0)
+        ratio[ds == 0.0] = 0.0
+        return float(ratio.max())
+
+    def _solve_complement(self, d: Array) -> Array:
         """Return S⁻¹ d, (m,); zeros if S is singular."""
         if self.is_singular:
             return np.zeros(len(d))
         z = self._U.T @ (self._rows * d)
         return np.asarray(self._columns * (self._Vt.T @ (z / self._singular_values)))
 
-    def absolute_inverse(self) -> Array:
+    def _absolute_inverse(self) -> Array:
         """Return the absolute values of the entries of S⁻¹, (m, m)."""
-        columns = [self.solve(unit) for unit in np.eye(len(self._singular_values))]
+        columns = [self._solve_complement(unit) for unit in np.eye(len(self._singular_values))]
         return np.abs(np.array(columns).T)
 
 

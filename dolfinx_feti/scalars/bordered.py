@@ -12,6 +12,15 @@ that of the last matrix. The columns of X need only the accuracy at which their 
 inaccurate, but x and s are not (Keller, The bordering algorithm and path following near singular
 points of higher nullity, 1983). If nothing resists rigid motions, point springs are added to A
 during the solve (``springs``).
+
+A solve takes four steps:
+
+1. y = A⁻¹ b,
+2. X = A⁻¹ B, column by column, as accurate as the s that follows from it requires,
+3. s and x by block elimination (``border``),
+4. corrections of x and s for their residuals, until their estimated error η is small.
+
+Residuals and η are tested here for the whole system; the KSP gets the outcome as its own.
 """
 
 from __future__ import annotations
@@ -24,10 +33,12 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.feti.converged_reason import composed_outcome
+from dolfinx_feti.feti.solve_info import SolveInfo
+from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.runtime.collective import on_all, total_of
 from dolfinx_feti.runtime.lifetime import Lifetime
-from dolfinx_feti.scalars.border import Border, BorderComplement, without_zeros
+from dolfinx_feti.scalars.border import BlockElimination, Border, without_zeros
 from dolfinx_feti.scalars.springs import PointSprings
 from dolfinx_feti.torn.matrix import read_dirichlet_mask
 
@@ -63,32 +74,94 @@ SINGULAR_BORDER = (
 )
 
 
+class _MatrixSolver:
+    """Solves with A alone, by the KSP and to its tolerances unless others are passed.
+
+    Attributes:
+        A: Torn matrix, with the springs.
+        comm: Communicator.
+        rtol: Relative tolerance of the KSP.
+        atol: Absolute tolerance of the KSP.
+        iterations: Krylov iterations of all solves so far.
+    """
+
+    def __init__(self, ksp: PETSc.KSP, A: PETSc.Mat) -> None:
+        """Store the parts of the solver; no iterations so far.
+
+        Args:
+            ksp: A KSP with a FETI context.
+            A: Torn matrix.
+        """
+        self._ksp = ksp
+        self.A = A
+        self.comm: MPI.Comm = A.comm.tompi4py()
+        rtol, atol, *_ = ksp.getTolerances()
+        self.rtol: float = rtol
+        self.atol: float = atol
+        self.iterations = 0
+
+    @property
+    def feti(self) -> FETI:
+        """The context of the KSP."""
+        context: FETI = self._ksp.getPythonContext()
+        return context
+
+    def solve(
+        self, b: Array, *, rtol: float | None = None, atol: float | None = None
+    ) -> tuple[Array, SolveInfo]:
+        """Solve A x = b. Collective.
+
+        Args:
+            b: Right-hand side, with prescribed values on Dirichlet dofs, (N,).
+            rtol: Relative tolerance of this solve; if not given, both are those of the KSP.
+            atol: Absolute tolerance of this solve.
+
+        Returns:
+            x, (N,), and how the solve has ended.
+        """
+        tolerances = self._ksp.getTolerances()
+        if rtol is not None:
+            self._ksp.setTolerances(rtol=rtol, atol=atol)
+        x = solve_ksp(self._ksp, self.A, b)
+        self._ksp.setTolerances(*tolerances)
+        info = self.feti.info
+        self.iterations += info.iterations
+        return x, info
+
+    def precondition(self, r: Array) -> Array | None:
+        """Return z ≈ A⁻¹ r, (N,), by one application of the preconditioner. Collective.
+
+        Args:
+            r: Residual, zero on Dirichlet dofs, (N,).
+
+        Returns:
+            z, (N,); None if nothing can be set up for the matrix.
+        """
+        return self.feti.correction(self._ksp, r)
+
+
 @dataclass(frozen=True, slots=True)
 class _System:
     """One bordered system; A has the springs, and the border their forces.
 
     Attributes:
-        ksp: A KSP with a FETI context.
         A: Torn matrix.
         free: Mask of the dofs without a prescribed value, (N,).
         b: First right-hand side, zero on Dirichlet dofs, (N,).
         B: B of the border with zeros on Dirichlet dofs, (N, m).
         border: B, C and D.
         d: Second right-hand side, (m,).
-        count: Number of scalars without the forces of springs, which are the last scalars.
         b_norm: ‖b‖.
         B_norms: Norms of the columns B_k, (m,).
         comm: Communicator.
     """
 
-    ksp: PETSc.KSP
     A: PETSc.Mat
     free: Mask
     b: Array
     B: Array
     border: Border
     d: Array
-    count: int
     b_norm: float
     B_norms: Array
     comm: MPI.Comm
@@ -114,26 +187,36 @@ class _System:
         c = self.d - total_of(self.border.C.T @ x, self.comm) - self.border.D @ s
         return r, c
 
+    def allowed_residuals(self, s: Array, *, rtol: float, atol: float) -> Array:
+        """Return the largest ‖B_k − A X_k‖ with which x and s meet the tolerances, (m,).
+
+        Each of the m columns may contribute a share 1/m of the tolerance.
+
+        Args:
+            s: The scalars, (m,).
+            rtol: Relative tolerance.
+            atol: Absolute tolerance.
+        """
+        allowed = max(rtol * self.scale(s), atol) / without_zeros(len(s) * np.abs(s))
+        return np.fmin(allowed, FIRST_RTOL * self.B_norms)
+
 
 @dataclass(frozen=True, slots=True)
-class _Elimination:
-    """The scalars by block elimination.
+class _Columns:
+    """The columns of X after their corrections.
 
     Attributes:
-        s: The scalars, (m,); zeros if a solve with A fails.
-        relative_residual: Bound of ‖(B − A X) s‖/(‖b‖ + Σ ‖B_k‖ |s_k|); nan if a solve with A
-            fails.
-        is_singular: Whether S = D − Cᵀ X is singular.
+        elimination: Block elimination with X.
+        relative_residual: Bound of ‖(B − A X) s‖/(‖b‖ + Σ ‖B_k‖ |s_k|).
     """
 
-    s: Array
+    elimination: BlockElimination
     relative_residual: float
-    is_singular: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class _Solution:
-    """A solution of a bordered system, with the forces of springs.
+class _Refined:
+    """A solution of a bordered system after refinement.
 
     Attributes:
         x: First unknown, (N,).
@@ -146,33 +229,23 @@ class _Solution:
     error_estimate: float
 
 
-def _create_system(ksp: PETSc.KSP, A: PETSc.Mat, b: Array, border: Border, d: Array) -> _System:
-    """Create a bordered system. Collective.
+@dataclass(frozen=True, slots=True)
+class _Solution:
+    """A solution of a bordered system, or the best after a failure.
 
-    Args:
-        ksp: A KSP with a FETI context.
-        A: Torn matrix, with the springs.
-        b: First right-hand side, with any values on Dirichlet dofs, (N,).
-        border: B, C and D of m scalars, the forces of the springs among them.
-        d: Second right-hand side of the scalars without these forces, (up to m,).
+    Attributes:
+        x: First unknown, (N,).
+        s: Scalars, (m,).
+        X: A⁻¹ B, (N, m); None if a solve with A failed.
+        info: How the solve of the bordered system has ended.
+        error_tolerance: Tolerance of η.
     """
-    comm = A.comm.tompi4py()
-    free = ~read_dirichlet_mask(A)
-    b = np.where(free, b, 0.0)
-    B = np.where(free[:, None], border.B, 0.0)
-    return _System(
-        ksp=ksp,
-        A=A,
-        free=free,
-        b=b,
-        B=B,
-        border=border,
-        d=border.pad(d),
-        count=len(d),
-        b_norm=float(_norms(b[:, None], comm)[0]),
-        B_norms=_norms(B, comm),
-        comm=comm,
-    )
+
+    x: Array
+    s: Array
+    X: Array | None
+    info: SolveInfo
+    error_tolerance: float
 
 
 class BorderedSolver:
@@ -188,9 +261,9 @@ class BorderedSolver:
     def __init__(self) -> None:
         """Create a solver; its first solve starts from X = 0."""
         self.iterations = 0
-        self._X: Array | None = None
         self._springs: PointSprings | None = None
         self._border: Border | None = None  # of the last solve, with springs
+        self._X: Array | None = None  # of the last solve in which no solve with A failed
 
     def solve(
         self, ksp: PETSc.KSP, A: PETSc.Mat, b: Array, border: Border, d: Array
@@ -225,145 +298,34 @@ class BorderedSolver:
         d: Array,
         springs: PointSprings,
     ) -> tuple[Array, Array]:
-        """Solve with these springs; see :meth:`solve`. Collective.
-
-        The steps are A y = b, the elimination of the scalars with A X = B, x = y − X s, and the
-        refinement of x and s. If the elimination fails or S is singular, nothing is refined, and
-        the outcome is this failure. If a refinement fails, the best solution before is returned.
-        """
-        context = ksp.getPythonContext()
-        self.iterations = 0
+        """Solve with these springs, and store X and the outcome; see :meth:`solve`. Collective."""
+        solver = _MatrixSolver(ksp, A)
         with springs.added_to(A):
-            y = self._solve(ksp, A, b)  # A y = b
-            extended = on_all(lambda: springs.extend(border), A.comm.tompi4py())
-            system = _create_system(ksp, A, b, extended, d)
-            elimination = self._eliminate(system, y, springs)
-            self._border = extended
-            info = context.info  # of the last solve with A
-            tolerance = info.accuracy.rtol
-            x = y
-            s = elimination.s
-            if info.reason > 0:
-                x = y - self._last_X() @ s  # x = y − X s
-            if elimination.is_singular:
-                info = replace(info, reason=Reason.DIVERGED_BREAKDOWN, message=SINGULAR_BORDER)
-            elif info.reason > 0:
-                residual = max(info.accuracy.residual, elimination.relative_residual)
-                info = replace(info, accuracy=replace(info.accuracy, residual=residual))
-                tolerance, second_reference = self._error_tolerance(system, s)
-                solution = self._refine(system, x, s, tolerance, second_reference)
-                x = solution.x
-                s = solution.s
-                info = composed_outcome(info, solution.error_estimate, tolerance)
-        context.store_outcome(ksp, replace(info, iterations=self.iterations), tolerance)
-        return x, s[: len(d)]
+            y, info = solver.solve(b)  # y = A⁻¹ b
+            extended = on_all(lambda: springs.extend(border), solver.comm)
+            system = _create_system(A, b, extended, d)
+            X, has_earlier_X = self._first_X(system, springs)
+            solution = _solve_system(solver, system, y, info, X, has_earlier_X=has_earlier_X)
+        self._border = extended
+        if solution.X is not None:
+            self._X = solution.X
+        self.iterations = solver.iterations
+        outcome = replace(solution.info, iterations=solver.iterations)
+        solver.feti.store_outcome(ksp, outcome, solution.error_tolerance)
+        return solution.x, extended.without_springs(solution.s)
 
-    def _eliminate(self, system: _System, y: Array, springs: PointSprings) -> _Elimination:
-        """Compute X and s for y = A⁻¹ b, and store X. Collective.
+    def _first_X(self, system: _System, springs: PointSprings) -> tuple[Array, bool]:
+        """Return the first iterate of X, (N, m), and whether it is the X of an earlier matrix.
 
-        The columns of an earlier X are first corrected to :data:`FIRST_RTOL`; without one, all are
-        computed to the tolerance of the KSP. Each pass then computes s, and from it the residual
-        that each column may have. Columns above theirs are corrected in the next pass.
-
-        Args:
-            system: The bordered system.
-            y: A⁻¹ b, (N,).
-            springs: The springs, whose columns of X are known.
+        Without one of this shape, it is zero in the columns of the scalars; the columns of the
+        springs are known.
         """
-        comm = system.comm
-        m = len(system.d)
-        failure = _Elimination(np.zeros(m), np.nan)
-        if system.ksp.getConvergedReason() < 0:
-            return failure
-        has_earlier_X = self._X is not None and self._X.shape == system.B.shape
-        X = self._initial_X(system, springs)
-        rtol, atol, *_ = system.ksp.getTolerances()
-        e = system.d - total_of(system.border.C.T @ y, comm)  # d − Cᵀ y
-        allowed = (FIRST_RTOL if has_earlier_X else rtol) * system.B_norms
-        R = system.B - system.product(X)  # B − A X
-        for _ in range(MAX_CORRECTIONS):
-            for k in np.flatnonzero(_norms(R, comm) > allowed):
-                X[:, k] += self._solve(
-                    system.ksp, system.A, R[:, k], rtol=0.0, atol=TARGET_FACTOR * allowed[k]
-                )
-                if system.ksp.getConvergedReason() < 0:
-                    return failure
-                R[:, k : k + 1] = system.B[:, k : k + 1] - system.product(X[:, k : k + 1])
-            complement = BorderComplement(system.border, X, comm)
-            s = complement.solve(e)  # (D − Cᵀ X) s = d − Cᵀ y
-            residuals = _norms(R, comm)
-            # Each of the m columns may contribute a share 1/m of the tolerance.
-            allowed = max(rtol * system.scale(s), atol) / without_zeros(m * np.abs(s))
-            allowed = np.fmin(allowed, FIRST_RTOL * system.B_norms)
-            if complement.is_singular or np.all(residuals <= allowed):
-                break
-        self._X = X
-        relative_residual = float(np.abs(s) @ residuals) / (system.scale(s) or 1.0)
-        return _Elimination(s, relative_residual, is_singular=complement.is_singular)
-
-    def _initial_X(self, system: _System, springs: PointSprings) -> Array:
-        """Return the first iterate of X, (N, m), zero on Dirichlet dofs.
-
-        It is the X of the last matrix. Without one of this shape, it is zero in the columns of the
-        scalars; the columns of the springs are known.
-        """
-        X = self._X
-        if X is None or X.shape != system.B.shape:
-            X = np.zeros_like(system.B)
-            if springs.count:
-                X[:, -springs.count :] = springs.X
-        return np.where(system.free[:, None], X, 0.0)
-
-    def _error_tolerance(self, system: _System, s: Array) -> tuple[float, Array]:
-        """Return the tolerance of η, and a second reference for η, (N,); see ``SolveSettings``."""
-        ksp = system.ksp
-        rtol, atol, *_ = ksp.getTolerances()
-        tolerance = max(rtol, atol / (system.scale(s) or np.inf))
-        settings = ksp.getPythonContext().settings
-        return settings.loosen(tolerance, len(system.b))
-
-    def _refine(
-        self, system: _System, x: Array, s: Array, error_tolerance: float, second_reference: Array
-    ) -> _Solution:
-        """Correct x and s until their estimated error η is at its tolerance. Collective.
-
-        Args:
-            system: The bordered system.
-            x: Solution of the elimination, (N,).
-            s: Its scalars, (m,).
-            error_tolerance: Tolerance of η.
-            second_reference: Reference of η in addition to x, (N,).
-
-        Returns:
-            The solution with the smallest η; η is nan without a preconditioner.
-        """
-        ksp = system.ksp
-        context = ksp.getPythonContext()
-        complement = BorderComplement(system.border, self._last_X(), system.comm)
-        best = _Solution(x, s, np.inf)
-        for _ in range(1 + MAX_REFINEMENTS):
-            r, c = system.residual(x, s)
-            correction = self._correction(ksp, r, c)
-            if correction is None:
-                break
-            z, ds = correction
-            m = system.count
-            η_s = _scalar_error_estimate(system.border, complement, ds[:m], s[:m], x, system.comm)
-            η = max(context.error_of_correction(z, [x, second_reference]), η_s)
-            has_gained = η <= REFINEMENT_GAIN * best.error_estimate
-            if η < best.error_estimate:
-                best = _Solution(x, s, η)
-            if not η > error_tolerance or not has_gained:
-                break
-            dy = self._solve(ksp, system.A, r, rtol=TARGET_FACTOR * error_tolerance / η, atol=0.0)
-            if ksp.getConvergedReason() < 0:
-                break  # the best solution so far is returned
-            ds = complement.solve(c - total_of(system.border.C.T @ dy, system.comm))
-            x = x + dy - self._last_X() @ ds
-            s = s + ds
-        if np.isinf(best.error_estimate):
-            return replace(best, error_estimate=np.nan)
-        return best
+        if self._X is not None and self._X.shape == system.B.shape:
+            return np.where(system.free[:, None], self._X, 0.0), True
+        X = np.zeros_like(system.B)
+        if springs.count:
+            X[:, -springs.count :] = springs.X
+        return np.where(system.free[:, None], X, 0.0), False
 
     def correction(self, ksp: PETSc.KSP, r: Array, c: Array) -> tuple[Array, Array] | None:
         """Return approximate corrections of x and s, with the last border, without a solve.
@@ -381,96 +343,203 @@ class BorderedSolver:
         """
         if self._springs is None:
             return None
-        with self._springs.added_to(ksp.getOperators()[0]):
-            correction = self._correction(ksp, r, c)
-        if correction is None:
+        A, _ = ksp.getOperators()
+        solver = _MatrixSolver(ksp, A)
+        with self._springs.added_to(A):
+            z = solver.precondition(r)  # z ≈ A⁻¹ r
+        if z is None or self._border is None or self._X is None:
             return None
-        z, ds = correction
-        return z, ds[: len(c)]
-
-    def _correction(self, ksp: PETSc.KSP, r: Array, c: Array) -> tuple[Array, Array] | None:
-        """Return approximate corrections, see :meth:`correction`. Collective.
-
-        A has the springs; the last entries of the correction of s are their forces.
-        """
-        comm = ksp.comm.tompi4py()
-        border = self._border
-        z = ksp.getPythonContext().correction(ksp, r)
-        if z is None or border is None or self._X is None:
-            return None
-        complement = BorderComplement(border, self._X, comm)
-        ds = complement.solve(border.pad(c) - total_of(border.C.T @ z, comm))
-        return z - self._X @ ds, ds
+        elimination = BlockElimination(self._border, self._X, solver.comm)
+        dx, ds = elimination.solve(z, self._border.with_springs(c))
+        return dx, self._border.without_springs(ds)
 
     def error_of_correction(self, ds: Array, s: Array, x: Array, comm: MPI.Comm) -> float:
-        r"""Return η of the scalars: the largest :math:`|δs_k|` relative to s_k. Collective.
+        """Return η of the scalars for a correction of them, with the last border. Collective.
 
-        s_k is compared with
-
-        .. math:: |s_k| + \sum_l |S^{-1}|_{kl} \Bigl(\sum_j C_{jl}^2 x_j^2\Bigr)^{1/2},
-                  \qquad S = D - C^⊤ X,
-
-        for the last border. The second term matters if s_k is about zero because contributions of x
-        cancel: s_k is accurate to their rounding only.
+        See :meth:`BlockElimination.error_of_scalars
+        <dolfinx_feti.scalars.border.BlockElimination.error_of_scalars>`.
 
         Args:
             ds: Change of s, (m,).
             s: Largest size of s_k among the iterates, (m,).
             x: Largest size of x_j among the iterates, (N,).
             comm: Communicator.
+
+        Returns:
+            η; zero without scalars, and before a solve.
         """
         if not len(ds) or self._border is None or self._X is None:
             return 0.0
-        complement = BorderComplement(self._border, self._X, comm)
-        return _scalar_error_estimate(self._border, complement, ds, s, x, comm)
-
-    def _last_X(self) -> Array:
-        """Return X of the last elimination, (N, m)."""
-        assert self._X is not None
-        return self._X
-
-    def _solve(
-        self,
-        ksp: PETSc.KSP,
-        A: PETSc.Mat,
-        b: Array,
-        *,
-        rtol: float | None = None,
-        atol: float | None = None,
-    ) -> Array:
-        """Return A⁻¹ b, (N,), and count the iterations. Collective.
-
-        Args:
-            ksp: The KSP.
-            A: Torn matrix.
-            b: Right-hand side, with prescribed values on Dirichlet dofs, (N,).
-            rtol: Relative tolerance of this solve; if not given, both are those of the KSP.
-            atol: Absolute tolerance of this solve.
-        """
-        tolerances = ksp.getTolerances()
-        if rtol is not None:
-            ksp.setTolerances(rtol=rtol, atol=atol)
-        x = solve_ksp(ksp, A, b)
-        ksp.setTolerances(*tolerances)
-        self.iterations += ksp.getPythonContext().iterations
-        return x
+        return BlockElimination(self._border, self._X, comm).error_of_scalars(ds, s, x)
 
 
-def _scalar_error_estimate(
-    border: Border, complement: BorderComplement, ds: Array, s: Array, x: Array, comm: MPI.Comm
-) -> float:
-    """Return the largest change of a scalar relative to its size. Collective.
+def _create_system(A: PETSc.Mat, b: Array, border: Border, d: Array) -> _System:
+    """Create a bordered system. Collective.
 
-    See :meth:`BorderedSolver.error_of_correction`. ds and s are those of the first scalars, so that
-    changes of the forces of springs do not count.
+    Args:
+        A: Torn matrix, with the springs.
+        b: First right-hand side, with any values on Dirichlet dofs, (N,).
+        border: B, C and D of m scalars, the forces of the springs among them.
+        d: Second right-hand side of the scalars without these forces, (m − springs,).
     """
-    m = len(ds)
-    row_sizes = np.sqrt(total_of((border.C**2).T @ x**2, comm))  # (Σ_j C_jl² x_j²)^½
-    size = np.abs(s) + (complement.absolute_inverse() @ row_sizes)[:m]
-    ratio = np.full(m, np.inf)
-    np.divide(np.abs(ds), size, out=ratio, where=size > 0.0)
-    ratio[ds == 0.0] = 0.0
-    return float(ratio.max())
+    comm = A.comm.tompi4py()
+    free = ~read_dirichlet_mask(A)
+    b = np.where(free, b, 0.0)
+    B = np.where(free[:, None], border.B, 0.0)
+    return _System(
+        A=A,
+        free=free,
+        b=b,
+        B=B,
+        border=border,
+        d=border.with_springs(d),
+        b_norm=float(_norms(b[:, None], comm)[0]),
+        B_norms=_norms(B, comm),
+        comm=comm,
+    )
+
+
+def _solve_system(
+    solver: _MatrixSolver,
+    system: _System,
+    y: Array,
+    info: SolveInfo,
+    X: Array,
+    *,
+    has_earlier_X: bool,
+) -> _Solution:
+    """Solve a bordered system for y = A⁻¹ b. Collective.
+
+    If a solve with A fails or S is singular, nothing is refined, and the outcome is this failure.
+    If a refinement fails, the best solution before is returned.
+
+    Args:
+        solver: Solves with A.
+        system: The bordered system.
+        y: A⁻¹ b, (N,).
+        info: How the solve for y has ended.
+        X: First iterate of X, (N, m), overwritten.
+        has_earlier_X: Whether it is the X of an earlier matrix.
+    """
+    no_scalars = np.zeros_like(system.d)
+    if info.reason < 0:
+        return _Solution(y, no_scalars, None, info, info.accuracy.rtol)
+    columns, info = _correct_columns(solver, system, y, info, X, has_earlier_X=has_earlier_X)
+    if columns is None:
+        return _Solution(y, no_scalars, None, info, info.accuracy.rtol)
+    elimination = columns.elimination
+    x, s = elimination.solve(y, system.d)
+    if elimination.is_singular:
+        info = replace(info, reason=Reason.DIVERGED_BREAKDOWN, message=SINGULAR_BORDER)
+        return _Solution(x, s, elimination.X, info, info.accuracy.rtol)
+    residual = max(info.accuracy.residual, columns.relative_residual)
+    info = replace(info, accuracy=replace(info.accuracy, residual=residual))
+    tolerance, second_reference = _error_tolerance(solver, system, s)
+    refined = _refine(solver, system, elimination, x, s, tolerance, second_reference)
+    outcome = composed_outcome(info, refined.error_estimate, tolerance)
+    return _Solution(refined.x, refined.s, elimination.X, outcome, tolerance)
+
+
+def _correct_columns(
+    solver: _MatrixSolver,
+    system: _System,
+    y: Array,
+    info: SolveInfo,
+    X: Array,
+    *,
+    has_earlier_X: bool,
+) -> tuple[_Columns | None, SolveInfo]:
+    """Correct the columns of X until they are as accurate as s requires. Collective.
+
+    The columns of an earlier X are first corrected to :data:`FIRST_RTOL`; without one, all are
+    computed to the tolerance of the KSP. Each pass then computes s, and from it the residual that
+    each column may have. Columns above theirs are corrected in the next pass.
+
+    Args:
+        solver: Solves with A.
+        system: The bordered system.
+        y: A⁻¹ b, (N,).
+        info: How the solve for y has ended.
+        X: First iterate of X, (N, m), overwritten.
+        has_earlier_X: Whether it is the X of an earlier matrix.
+
+    Returns:
+        The columns, or None if a solve failed; and how the last solve has ended.
+    """
+    R = system.B - system.product(X)  # B − A X
+    first_rtol = FIRST_RTOL if has_earlier_X else solver.rtol
+    allowed = first_rtol * system.B_norms
+    for _ in range(MAX_CORRECTIONS):
+        for k in np.flatnonzero(_norms(R, system.comm) > allowed):
+            correction, info = solver.solve(R[:, k], rtol=0.0, atol=TARGET_FACTOR * allowed[k])
+            if info.reason < 0:
+                return None, info
+            X[:, k] += correction
+            R[:, k : k + 1] = system.B[:, k : k + 1] - system.product(X[:, k : k + 1])
+        elimination = BlockElimination(system.border, X, system.comm)
+        s = elimination.solve_for_scalars(y, system.d)
+        residuals = _norms(R, system.comm)
+        allowed = system.allowed_residuals(s, rtol=solver.rtol, atol=solver.atol)
+        if elimination.is_singular or np.all(residuals <= allowed):
+            break
+    relative_residual = float(np.abs(s) @ residuals) / (system.scale(s) or 1.0)
+    return _Columns(elimination, relative_residual), info
+
+
+def _error_tolerance(solver: _MatrixSolver, system: _System, s: Array) -> tuple[float, Array]:
+    """Return the tolerance of η, and a second reference for η, (N,); see ``SolveSettings``."""
+    tolerance = max(solver.rtol, solver.atol / (system.scale(s) or np.inf))
+    return solver.feti.settings.loosen(tolerance, len(system.b))
+
+
+def _refine(
+    solver: _MatrixSolver,
+    system: _System,
+    elimination: BlockElimination,
+    x: Array,
+    s: Array,
+    error_tolerance: float,
+    second_reference: Array,
+) -> _Refined:
+    """Correct x and s until their estimated error η is at its tolerance. Collective.
+
+    Args:
+        solver: Solves with A.
+        system: The bordered system.
+        elimination: Block elimination of the system.
+        x: Solution of the elimination, (N,).
+        s: Its scalars, (m,).
+        error_tolerance: Tolerance of η.
+        second_reference: Reference of η in addition to x, (N,).
+
+    Returns:
+        The solution with the smallest η; η is nan without a preconditioner.
+    """
+    without_springs = system.border.without_springs
+    best = _Refined(x, s, np.inf)
+    for _ in range(1 + MAX_REFINEMENTS):
+        r, c = system.residual(x, s)
+        z = solver.precondition(r)  # z ≈ A⁻¹ r
+        if z is None:
+            break
+        dx, ds = elimination.solve(z, c)
+        η_x = solver.feti.error_of_correction(dx, [x, second_reference])
+        η_s = elimination.error_of_scalars(without_springs(ds), without_springs(s), x)
+        η = max(η_x, η_s)
+        has_gained = η <= REFINEMENT_GAIN * best.error_estimate
+        if η < best.error_estimate:
+            best = _Refined(x, s, η)
+        if not η > error_tolerance or not has_gained:
+            break
+        y, info = solver.solve(r, rtol=TARGET_FACTOR * error_tolerance / η, atol=0.0)
+        if info.reason < 0:
+            break  # the best solution so far is returned
+        dx, ds = elimination.solve(y, c)
+        x = x + dx
+        s = s + ds
+    if np.isinf(best.error_estimate):
+        return replace(best, error_estimate=np.nan)
+    return best
 
 
 def solve_ksp(ksp: PETSc.KSP, A: PETSc.Mat, b: Array) -> Array:

@@ -50,38 +50,35 @@ class PointSprings:
         Args:
             A: Torn matrix.
         """
-        # States of the local matrix; equal ones mean equal entries.
+        with Lifetime() as owned:
+            torn = owned.own(Torn(A))
+            comm = torn.comm
+            W = _free_motions(torn)
+            self.count = W.shape[1]
+            self._dofs, numbers = _choose_dofs(W, comm)  # of the springs of this process
+            stiffness = torn.tear(torn.assemble(torn.stiffness()))
+            self._local_κ = stiffness[self._dofs]
+            κ = np.zeros(self.count)
+            κ[numbers] = self._local_κ
+            self._κ = comm.allreduce(κ)
+            E = np.zeros((torn.n, self.count))
+            E[self._dofs, numbers] = 1.0
+            self._E = _assembled(torn, E)
+            E_W = comm.allreduce(E.T @ W)  # Eᵀ W
+            delta = 1.0 / torn.tear(torn.multiplicity())  # the copies of a motion are equal
+            averaged_W = _assembled(torn, delta[:, None] * W)
+            self.X = -averaged_W @ np.linalg.inv(E_W) / self._κ  # −W (Eᵀ W)⁻¹ κ⁻¹
+        # PETSc's states of the local matrix when the springs were last added, and removed.
         self._state_with = -1
         self._state_without = -1
-        with Lifetime() as owned:
-            self._choose(owned.own(Torn(A)))
-
-    def _choose(self, torn: Torn) -> None:
-        """Choose the dofs and their stiffness, and compute X. Collective."""
-        comm = torn.comm
-        W = _free_motions(torn)
-        k = W.shape[1]
-        self.count = k
-        self._dofs, springs = _choose_dofs(W, comm)
-        stiffness = torn.tear(torn.assemble(torn.stiffness()))
-        self._local_κ = stiffness[self._dofs]
-        E = np.zeros((torn.n, k))
-        E[self._dofs, springs] = 1.0
-        κ = np.zeros(k)
-        κ[springs] = self._local_κ
-        self._κ = comm.allreduce(κ)
-        self._E = _assembled(torn, E)
-        E_W = comm.allreduce(E.T @ W)  # Eᵀ W
-        delta = 1.0 / torn.tear(torn.multiplicity())  # the copies of a motion are equal
-        averaged_W = _assembled(torn, delta[:, None] * W)
-        self.X = -averaged_W @ np.linalg.inv(E_W) / self._κ  # −W (Eᵀ W)⁻¹ κ⁻¹
 
     @contextmanager
     def added_to(self, A: PETSc.Mat) -> Iterator[None]:
         """Return a context in which the diagonal of a matrix has the springs.
 
-        If the matrix has not been changed since the last time, it gets the same PETSc state as
-        then, so that the solver is not set up again.
+        A FETI solver sets up a matrix again if its PETSc state has changed, as adding springs does.
+        If the matrix has not changed since they were last removed, it has the same entries with
+        springs as then, and gets the state that it had.
         """
         K = A.getISLocalMat()
         if not self.count:
@@ -92,16 +89,14 @@ class PointSprings:
         self._set_diagonal(K, before + self._local_κ)
         if is_unchanged:
             K.stateSet(self._state_with)
-        else:
-            self._state_with = K.stateGet()
+        self._state_with = K.stateGet()
         try:
             yield
         finally:
             self._set_diagonal(K, before)
             if is_unchanged:
                 K.stateSet(self._state_without)
-            else:
-                self._state_without = K.stateGet()
+            self._state_without = K.stateGet()
 
     def _set_diagonal(self, K: PETSc.Mat, values: npt.ArrayLike) -> None:
         """Write the diagonal of the local matrix at the dofs of the springs."""
@@ -114,7 +109,8 @@ class PointSprings:
         """Return a border with the forces t as last scalars: t/κ − Eᵀ x = 0."""
         B = np.hstack([border.B, -self._E])
         C = np.hstack([border.C, -self._E])
-        return Border(B, C, scipy.linalg.block_diag(border.D, np.diag(1.0 / self._κ)))
+        D = scipy.linalg.block_diag(border.D, np.diag(1.0 / self._κ))
+        return Border(B, C, D, springs=self.count)
 
 
 def _free_motions(torn: Torn) -> Array:

@@ -129,13 +129,12 @@ class ShiftedDirections:
         Raises:
             NewtonFailure: No further shift helps.
         """
-        system = self._system
         refuses_indefinite = self._refuses_indefinite(is_first=is_first)
         indefinite: int | None = None  # negative eigenvalues of the tangent without a shift
         iterations: list[int] = []  # of each linear solve since the last direction
         outcome = LinearOutcome.NOT_SOLVED
         for attempt in self._attempts(iterate):
-            du = self._solve(attempt, iterate, refuses_indefinite=refuses_indefinite)
+            du, ds = self._solve(attempt, iterate, refuses_indefinite=refuses_indefinite)
             outcome = self._linear_outcome(attempt, du, iterate)
             if attempt.level == 0:
                 indefinite = proved_negative(self._feti)
@@ -150,7 +149,7 @@ class ShiftedDirections:
                 self._count_free_step(attempt, iterate, indefinite)
                 yield Direction(
                     du,
-                    system.scalars.increment.copy(),
+                    ds,
                     shift=attempt.shift,
                     iterations=tuple(iterations),
                     indefinite=indefinite,
@@ -202,18 +201,24 @@ class ShiftedDirections:
             return [plain, *shifts]
         return [*shifts, plain]
 
-    def _solve(self, attempt: Attempt, iterate: Iterate, *, refuses_indefinite: bool) -> Array:
-        """Return ΔU of the tangent with a shift, (owned,), converged or not. Collective."""
+    def _solve(
+        self, attempt: Attempt, iterate: Iterate, *, refuses_indefinite: bool
+    ) -> tuple[Array, Array]:
+        """Solve with the tangent and a shift. Collective.
+
+        Returns:
+            ΔU, (owned,), and Δs, (m,), converged or not.
+        """
         system = self._system
         residual = iterate.residual
         system.tangent.set_shift(attempt.shift)
         allow_indefinite = not attempt.requires_descent and not refuses_indefinite
         settings = replace(self._feti.settings, allow_indefinite=allow_indefinite)
         with self._feti.solving_with(settings), python_errors(self._ksp):
-            du = system.scalars.solve(
+            du, ds = system.scalars.solve(
                 self._ksp, system.tangent.A, residual.of_u, residual.of_scalars
             )
-        return system.tangent.remove_null_space(du)
+        return system.tangent.remove_null_space(du), ds
 
     def _linear_outcome(self, attempt: Attempt, du: Array, iterate: Iterate) -> LinearOutcome:
         """Return how the last linear solve has ended. Collective.

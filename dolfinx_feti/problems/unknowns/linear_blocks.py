@@ -24,13 +24,9 @@ from dolfinx_feti.problems.unknowns.block_forms import (
     zero_load,
 )
 from dolfinx_feti.problems.unknowns.torn_unknown import coupling_message, torn_unknown
-from dolfinx_feti.scalars.equations import (
-    ScalarEquation,
-    constant_of,
-    is_real,
-    unit_values,
-    with_trial,
-)
+from dolfinx_feti.scalars.derivatives import with_trial
+from dolfinx_feti.scalars.equations import ScalarEquation
+from dolfinx_feti.scalars.real_spaces import constant_of, is_real, unit_values
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,14 +25,9 @@ from dolfinx_feti.problems.unknowns.block_forms import (
     without_part,
 )
 from dolfinx_feti.problems.unknowns.torn_unknown import coupling_message, torn_unknown
-from dolfinx_feti.scalars.equations import (
-    ScalarEquation,
-    ScalarTangent,
-    is_real,
-    separate_scalars,
-    unit_values,
-    with_trial,
-)
+from dolfinx_feti.scalars.derivatives import with_trial
+from dolfinx_feti.scalars.equations import ScalarEquation, ScalarTangent
+from dolfinx_feti.scalars.real_spaces import is_real, separate_scalars, unit_values
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,82 @@
+# Copyright (C) 2026 the dolfinx_feti authors
+#
+# SPDX-License-Identifier: LGPL-3.0-or-later
+"""Check that scalars and their equations depend on u, and not on each other."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.linalg
+
+from dolfinx_feti.runtime.arrays import Array, Mask
+from dolfinx_feti.runtime.collective import total_of
+from dolfinx_feti.scalars.border import Border
+
+__all__ = ["require_independent"]
+
+#: Sine of the angle between two normalised constraints below which they count as dependent. Its
+#: square is compared with an eigenvalue of their products, whose rounding errors are some 2e-16;
+#: it is the root of these with a margin.
+DEPENDENT_SINE = 1e-7
+
+#: Largest derivative of an equation by the free dofs, relative to that by all dofs, that counts as
+#: zero: a margin above rounding, not measured.
+ROUNDING_SHARE = 1e-10
+
+#: Smallest coefficient, in a combination of norm one that vanishes, of an equation that is named in
+#: the message. It affects the message alone.
+NAMED_ENTRY = 1e-3
+
+
+def require_independent(border: Border, free: Mask, comm: MPI.Comm) -> None:
+    """Check that the equations, and the unknowns, depend on u and not on each other. Collective.
+
+    Args:
+        border: B, C and D of the scalars.
+        free: Mask of the dofs without Dirichlet condition, (N,).
+        comm: Communicator.
+
+    Raises:
+        ValueError: They do not; on all processes.
+    """
+    _check_columns(border.C, border.D.T, free, "equations", comm)
+    _check_columns(border.B, border.D, free, "unknowns", comm)
+
+
+def _check_columns(columns: Array, corner: Array, free: Mask, kind: str, comm: MPI.Comm) -> None:
+    """Check that columns of a border are not zero on free dofs, and independent. Collective.
+
+    Columns that are coupled to another scalar by D are not checked.
+
+    Args:
+        columns: B or C, (N, m).
+        corner: D or Dᵀ, (m, m).
+        free: Mask of the dofs without Dirichlet condition, (N,).
+        kind: Name of the columns in a message.
+        comm: Communicator.
+    """
+    all_squares = total_of((columns**2).sum(axis=0), comm)
+    gram = total_of(columns[free].T @ columns[free], comm)
+    size = np.sqrt(gram.diagonal())
+    is_coupled = np.abs(corner).max(axis=0, initial=0.0) > 0.0  # with another scalar
+    is_zero = size <= ROUNDING_SHARE * np.sqrt(all_squares)
+    idle = np.flatnonzero(is_zero & ~is_coupled)
+    if len(idle):
+        raise ValueError(
+            f"The scalar {kind} {idle.tolist()} depend neither on a free dof of u nor on "
+            "another scalar, so that no solve can satisfy them. Look at the Dirichlet "
+            "conditions and at the measures."
+        )
+    alone = np.flatnonzero(~is_coupled)
+    if not len(alone):
+        return
+    normalised = gram[np.ix_(alone, alone)] / np.outer(size[alone], size[alone])
+    values, vectors = scipy.linalg.eigh(normalised)
+    if values[0] < DEPENDENT_SINE**2:
+        dependent = alone[np.abs(vectors[:, 0]) > NAMED_ENTRY]
+        raise ValueError(
+            f"The scalar {kind} {dependent.tolist()} depend on each other, so that they "
+            "contradict each other or leave a multiplier free: leave one of them out."
+        )
