@@ -74,7 +74,8 @@ class ArcLength(Coupling):
 
     def begin_step(self, length: float) -> None:
         """Prepare a step of the length Δs, in the unit of the load."""
-        self._path.value[3] = length  # Δs of (λ_n, t_λ, ψ², Δs)
+        last, t, ψ2, _ = self._path.value
+        self._path.value = [last, t, ψ2, length]
 
     def accept(self) -> None:
         """Store the present state as the last one, and the secant to it. Collective."""

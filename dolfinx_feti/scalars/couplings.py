@@ -1,14 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Checks of the couplings of a problem, and the couplings of a case file."""
+"""The couplings of a problem together: their checks, and their works in the residual of u."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
-
-import numpy as np
+from collections.abc import Sequence
 
 import dolfinx
 import ufl
@@ -16,10 +14,8 @@ import ufl
 from dolfinx_feti.scalars.cavity import Cavity
 from dolfinx_feti.scalars.equations import Coupling
 from dolfinx_feti.scalars.windkessel import Windkessel
-from dolfinx_feti.wall.case import Filling
-from dolfinx_feti.wall.wall import AXES, Wall, surface_measure
 
-__all__ = ["check_couplings", "coupling_works", "create_cavities", "refuse_condensed_fields"]
+__all__ = ["check_couplings", "coupling_works", "refuse_condensed_fields"]
 
 
 def check_couplings(
@@ -94,33 +90,6 @@ def refuse_condensed_fields(
                     f"{cause}, but such fields are eliminated in each cell alone: write it in u, "
                     "such as κ (J − 1) for a pressure, or do not condense the field."
                 )
-
-
-def create_cavities(
-    wall: Wall, u: dolfinx.fem.Function, cavities: Mapping[str, Filling]
-) -> list[Cavity | Windkessel]:
-    """Return the cavities and Windkessels of a case, in its order, for ``scalars=``. Collective.
-
-    Args:
-        wall: The wall.
-        u: Its displacement [mm].
-        cavities: What fills them, by the name of their surface.
-
-    Raises:
-        ValueError: The surface of one encloses no volume.
-    """
-    couplings: list[Cavity | Windkessel] = []
-    for name, filling in cavities.items():
-        axis = None
-        if filling.axis is not None:
-            axis = np.eye(3)[AXES.index(filling.axis)]
-        ds = surface_measure(wall)(wall.surfaces[name])
-        cavity = Cavity(u, ds, filling.volume, axis=axis)
-        if filling.windkessel:
-            couplings.append(Windkessel(cavity, **filling.windkessel))
-        else:
-            couplings.append(cavity)
-    return couplings
 
 
 def coupling_works(couplings: Sequence[Coupling]) -> list[ufl.Form]:

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Scalars on real spaces (scifem): constants take their place, and one form each component's test.
+"""Scalars on real spaces (scifem), replaced by constants with an equation for each component.
 
 A real space has one number for each component of its functions. A scalar on it is replaced by a
 constant with the same values, and a residual tested in it by a form without arguments for each
@@ -71,25 +71,30 @@ def separate_scalars(
     forms = [ufl.replace(form, constants) for form in F]
     if any(len(form.arguments()) != 1 for form in forms):
         raise ValueError("F has a form without or with several test functions: give residuals.")
-    spaces = [s.function_space for s in scalars]
-    tested = [form.arguments()[0].ufl_function_space() for form in forms]
-    rest = [form for form, V in zip(forms, tested, strict=True) if not is_real(V)]
-    if len(forms) - len(rest) != len(scalars):
+    of_fields = [form for form in forms if not is_real(_test_space(form))]
+    of_scalars = [form for form in forms if is_real(_test_space(form))]
+    if len(of_scalars) != len(scalars):
         raise ValueError(
-            f"F has {len(forms) - len(rest)} residuals tested in real spaces for {len(scalars)} "
+            f"F has {len(of_scalars)} residuals tested in real spaces for {len(scalars)} "
             "scalars: give one for each."
         )
+    spaces = [s.function_space for s in scalars]
     equations = []
     for i, (s, constant) in enumerate(constants.items()):
         V = s.function_space
-        residuals = [form for form, W in zip(forms, tested, strict=True) if W == V]
+        residuals = [form for form in of_scalars if _test_space(form) == V]
         if len(residuals) != spaces.count(V):
             raise ValueError(
                 f"F has {len(residuals)} residuals tested in the space of the scalar '{s.name}', "
                 f"but {spaces.count(V)} scalars are on it: test that of each scalar in its space."
             )
-        form = residuals[spaces[:i].count(V)]  # the k-th scalar on V has the k-th residual
-        (test,) = form.arguments()
-        c = tuple(ufl.replace(form, {test: e}) for e in unit_values(s.ufl_shape))
+        residual = residuals[spaces[:i].count(V)]  # the k-th scalar on V has the k-th residual
+        (v,) = residual.arguments()
+        c = tuple(ufl.replace(residual, {v: unit}) for unit in unit_values(s.ufl_shape))
         equations.append(ScalarEquation(constant, c, mirror=s))
-    return rest, constants, equations
+    return of_fields, constants, equations
+
+
+def _test_space(form: ufl.Form) -> dolfinx.fem.FunctionSpace:
+    """Return the space of the test function of a residual."""
+    return form.arguments()[0].ufl_function_space()

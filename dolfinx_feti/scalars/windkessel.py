@@ -92,7 +92,7 @@ class Windkessel(Coupling):
         volume = cavity.present_volume()
         self.history = dolfinx.fem.Constant(mesh, np.array([0.0, volume, volume, p_c, p_c]))
         self._rates = dolfinx.fem.Constant(mesh, np.zeros(3))  # of y, y_n and y_{n−1} in ẏ
-        self._dt: float  # Δt of the present step, set by ``begin_step``
+        self._dt = 0.0  # Δt of the present step; 0 before the first one
 
     def begin_step(self, length: float) -> None:
         """Prepare a step of the length Δt [s], from the present history."""
