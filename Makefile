@@ -132,7 +132,7 @@ check: ## lint of what has changed since main, and the tests of identities; unde
 	$(with) env DOLFINX_FETI_TEST_PROCESSES=2 python3 scripts/run_tests.py $(identities_2) $(ARGS)
 
 docs: export FENICSX_PACKAGES = docs
-docs: ## the site in build/docs/, with every demo executed, looked at in a browser; about 5 minutes
+docs: ## the site in build/docs/, with every demo executed, looked at in a browser; some 7 minutes of CPU time (AMD EPYC)
 	$(with) python3 scripts/demo_pages.py
 	$(with) python3 scripts/rooms.py --modules
 	rm -rf build/docs # pages of files that are gone
