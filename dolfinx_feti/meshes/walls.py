@@ -13,12 +13,12 @@ import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
+from dolfinx_feti.mechanics.materials import ArteryParameters
 from dolfinx_feti.meshes.quality import MeshQuality, measure_quality
 from dolfinx_feti.meshes.tube import create_tube
 from dolfinx_feti.meshes.vessel import create_vessel
@@ -45,6 +45,9 @@ __all__ = [
 #: Generators of walls by name. Each writes a file: its arguments are the path and the keyword
 #: ``size``, the wanted length of the edges [mm].
 GENERATORS: dict[str, Callable[..., MeshQuality]] = {"vessel": create_vessel, "tube": create_tube}
+
+#: Pressure of a case without a file [mmHg]: a first load step of an artery.
+DEFAULT_PRESSURE = 10.0
 
 
 def open_wall(
@@ -109,33 +112,65 @@ def open_case(
 def artery_case(wall: Wall, mesh: str) -> Case:
     """Return the case of an artery under 10 mmHg whose openings are clamped.
 
-    Layers called media and adventitia get the media's material of a rabbit's carotid artery
-    (Holzapfel, Gasser, Ogden 2000): c = 3 kPa, k₁ = 2.3632 kPa, k₂ = 0.8393.
+    Layers called media and adventitia get the material of :class:`ArteryParameters`, the media of a
+    rabbit's carotid artery (Holzapfel, Gasser, Ogden 2000), and the fibre angles of these layers.
 
     Args:
         wall: The wall.
         mesh: The name of its mesh for the case.
     """
-    angles = {name: angle for name, angle in ANGLES.items() if name in wall.layers}
+    media = ArteryParameters()
+    layers = {
+        name: LayerMaterial(media.c, media.k1, media.k2, angle)
+        for name, angle in ANGLES.items()
+        if name in wall.layers
+    }
     conditions: dict[str, tuple[Condition, ...]] = {"lumen": (Pressure(),)}
     for name in openings(wall):
         conditions[name] = (Clamp(),)
-    return Case(
-        mesh=mesh,
-        layers={name: LayerMaterial(3.0, 2.3632, 0.8393, angle) for name, angle in angles.items()},
-        conditions=conditions,
-        pressure=10.0,
-    )
+    return Case(mesh=mesh, layers=layers, conditions=conditions, pressure=DEFAULT_PRESSURE)
 
 
-def create_tube_wall(comm: MPI.Comm, **geometry: Any) -> Wall:
-    """Create the mesh of a tube on all processes. Collective.
+def create_tube_wall(
+    comm: MPI.Comm,
+    *,
+    length: float = 3.0,
+    size: float = 0.13,
+    quarter: bool = False,
+    through: tuple[int, int] | None = None,
+    around: int | None = None,
+    along: int | None = None,
+) -> Wall:
+    """Create the two-layer tube of :func:`dolfinx_feti.meshes.tube.create_tube` on all processes.
 
     Args:
         comm: Communicator of the mesh.
-        geometry: Keyword arguments of :func:`dolfinx_feti.meshes.tube.create_tube`.
+        length: Length [mm].
+        size: Wanted length of the edges [mm]; the numbers below follow from it if not given.
+        quarter: Only the part with x ≥ 0 and y ≥ 0.
+        through: Elements through the media and through the adventitia.
+        around: Elements around the circumference (a quarter of it for the quarter).
+        along: Elements along the axis.
+
+    Raises:
+        ValueError: An argument is out of its range. On all processes.
+
+    Note:
+        Collective.
     """
-    return generate_wall(lambda path: create_tube(path, **geometry), comm)
+
+    def generate(path: Path) -> None:
+        create_tube(
+            path,
+            length=length,
+            size=size,
+            quarter=quarter,
+            through=through,
+            around=around,
+            along=along,
+        )
+
+    return generate_wall(generate, comm)
 
 
 def generate_wall(generate: Callable[[Path], object], comm: MPI.Comm) -> Wall:
