@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Types of arrays, named by what the numbers are; concatenation, and the slices of the parts."""
+"""Names for types of arrays; the concatenation of arrays, and the slices of the parts in it."""
 
 from __future__ import annotations
 

@@ -116,7 +116,7 @@ class DeferredErrors:
             return np.full(shape, np.nan)
 
     def raise_first(self) -> None:
-        """Raise the first error on this process since the last call; forget all. Not collective.
+        """Raise the first error of this process since the last call; discard all. Not collective.
 
         Raises:
             Exception: The error, if there is one.
@@ -131,7 +131,7 @@ class DeferredErrors:
             del error  # its traceback refers to this frame
 
     def clear(self) -> None:
-        """Forget all errors."""
+        """Discard all errors."""
         self._errors.clear()
 
 
@@ -194,7 +194,7 @@ def warn(text: str, comm: MPI.Comm) -> None:
         logger.warning(text)
 
 
-#: Another name of :func:`on_root`, for programs that import it (docs/api.md).
+#: Another name of :func:`on_root`, for programs that import it. This package does not use it.
 on_first = on_root
 
 #: Another name of :func:`error_message`, for the same reason.

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Versions: that of this package, and differences between dolfinx 0.9, 0.10 and 0.11.
+"""The version of this package, and differences between dolfinx 0.9, 0.10 and 0.11.
 
 Each version of dolfinx comes with another version of PETSc. Only this module compares versions; the
 rest of the package calls its functions.
@@ -145,7 +145,11 @@ def petsc_errors_silenced() -> Iterator[None]:
 
 
 def package_version() -> str:
-    """Return the version of dolfinx_feti, which is imported at the time of the call."""
+    """Return the version of dolfinx_feti.
+
+    It is read at the time of the call: when this module is imported, the package has no version
+    yet.
+    """
     return str(sys.modules["dolfinx_feti"].__version__)
 
 

@@ -77,7 +77,7 @@ def measure(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[Cost, PETSc.
     """Create a solver, set it up, solve for b, and destroy it. Collective.
 
     Args:
-        create: Creates the solver of a matrix that exists.
+        create: Creates the solver of a matrix that has been assembled before the call.
         b: Right-hand side.
 
     Returns:

@@ -54,7 +54,7 @@ LOG_AFTER = 2.0
 
 logger = logging.getLogger("dolfinx_feti.compilation")
 
-#: Types of C, by those of arrays.
+#: Type of a pointer in C, by the type of the entries of an array.
 _C_TYPES = {
     np.dtype(np.float32): "float[]",
     np.dtype(np.float64): "double[]",

@@ -34,9 +34,9 @@ PAUSED = "dolfinx_feti_collector_paused"
 
 @contextmanager
 def python_errors(solver: PETSc.Object | None = None) -> Iterator[None]:
-    """Context for a call of PETSc that raises the Python error because of which the call failed.
+    """Context for a call of PETSc: if the call fails because of a Python error, raise that error.
 
-    The garbage collector is paused inside of it.
+    The garbage collector is paused in the context.
 
     Args:
         solver: The solver that is called, if its context is Python code that uses

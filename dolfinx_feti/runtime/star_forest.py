@@ -27,7 +27,7 @@ def create_star_forest(root_of_leaf: Integers, n_roots: int, comm: MPI.Comm) -> 
     Args:
         root_of_leaf: Number of the root of each leaf of this process, over all processes,
             (n_leaves,).
-        n_roots: Number of roots of this process; those of a process are numbered consecutively.
+        n_roots: Number of roots of this process. Roots are numbered process by process.
         comm: The processes.
 
     Returns:

@@ -56,7 +56,8 @@ def rows_of_components(graph: scipy.sparse.csr_array, bs: int) -> list[Indices]:
 def has_repeated_dofs(A: PETSc.Mat, subdomains: list[Indices]) -> bool:
     """Return True if some subdomain has two copies of one dof. Collective.
 
-    This happens if entries of the torn matrix couple subdomains: they are one component then.
+    This happens if entries of the local matrix couple two subdomains that share a dof: the two are
+    then one component of its graph.
 
     Args:
         A: The torn matrix.
@@ -68,7 +69,7 @@ def has_repeated_dofs(A: PETSc.Mat, subdomains: list[Indices]) -> bool:
 
 
 def diagonal_places(K: PETSc.Mat) -> Indices:
-    """Return the place of each diagonal entry among all entries of a sequential matrix.
+    """Return the place of each diagonal entry among the stored entries of a sequential AIJ matrix.
 
     Returns:
         Places, (n,); −1 for a diagonal entry outside of the pattern.

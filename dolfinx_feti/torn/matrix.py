@@ -130,7 +130,8 @@ def _require_map(
         dirichlet: Global dofs with a prescribed value.
 
     Raises:
-        ValueError: One of them does not, or their number does not fit n; on this process alone.
+        ValueError: A block or dof does not exist, or the number of blocks does not fit n. Raised on
+            this process alone.
     """
     if len(torn_to_global) * bs != n:
         raise ValueError(
@@ -196,8 +197,8 @@ class MatrixVersion:
     them: code that writes to the arrays of the matrix has to call ``stateIncrease``.
 
     Attributes:
-        pattern: What the pattern depends on.
-        values: What the entries depend on.
+        pattern: Handles, sizes and counts that change with the pattern, and the Dirichlet dofs.
+        values: Handles and counts that change with the entries, or with data that are attached.
         objects: References that keep the objects alive: no new object can get their handles.
     """
 
@@ -218,8 +219,8 @@ class MatrixVersion:
 def version_of(A: PETSc.Mat) -> MatrixVersion:
     """Return the version of a torn matrix on this process.
 
-    For a matrix of another type than MATIS it has only the handle and the change count: ``Torn``
-    refuses such a matrix.
+    The version of a matrix that is not a MATIS consists of its handle and change count only:
+    ``Torn`` refuses such a matrix.
     """
     if A.getType() != PETSc.Mat.Type.IS:
         return MatrixVersion((A.handle,), (A.stateGet(),), (copy(A),))
@@ -277,7 +278,8 @@ class Torn:
         is_dirichlet: Mask of the dofs with a prescribed value, (N,).
         is_dirichlet_copy: Mask of the copies of these dofs, (n,).
         is_unused: Mask of the dofs without a copy on any process, (N,).
-        errors: Store for errors of local work in iterations, to be raised later on all processes.
+        errors: Errors of local work in the iterations with this matrix. The work returns NaN
+            instead, and the solver raises the first error after the iterations, on all processes.
     """
 
     def __init__(self, A: PETSc.Mat) -> None:
@@ -287,7 +289,7 @@ class Torn:
             A: MATIS with square AIJ blocks.
 
         Raises:
-            TypeError: A is no MATIS.
+            TypeError: A is not a MATIS.
             ValueError: The local matrix is not square or not AIJ.
         """
         self.comm = A.comm.tompi4py()
@@ -319,7 +321,11 @@ class Torn:
             self._owned = owned.pop_all()
 
     def read_pattern(self) -> None:
-        """Read the pattern of K. Collective."""
+        """Set ``graph`` and ``subdomains`` from the pattern of K. Collective.
+
+        ``feti.pattern`` calls it again for a copy of this object in which another K replaces the
+        local matrix.
+        """
 
         def read() -> None:
             bs = self.K.getBlockSize()

@@ -20,9 +20,9 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.rounding import FORCE_ROUNDING_MARGIN, residual_rounding
 
-#: Largest error of Zᵀ Z = I, and of A z = 0 scaled by the diagonal of A. Chosen far from both
-#: sides: rounding errors are at most some thousand times ε = 2e-16 in the tests, and a vector that
-#: is not a null vector has an error near one.
+#: Largest error of Zᵀ Z = I, and of A z = 0 scaled by the diagonal of A. The value is far from
+#: both errors that it separates: rounding errors, which are at most some thousand times ε = 2e-16
+#: in the tests, and the error of a vector that is not a null vector, which is near one.
 NULL_VECTOR_RTOL = 1e-10
 
 #: Largest part of a load in the null space of A, relative to the load, that counts as rounding. The

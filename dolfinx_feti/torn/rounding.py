@@ -5,9 +5,10 @@ r"""Rounding errors of a residual, which bound the smallest residual that a solv
 
 .. math:: ε_r = ε\, \Bigl\| \Bigl(b_i^2 + \sum_j k_{ij}^2\, x_j^2\Bigr)^{1/2} \Bigr\|
 
-for the residual :math:`b - T^⊤ K T x` on the free dofs. The relative rounding error of every
-product and of every entry of x is ε/2 at most; errors with random signs add up to the root above.
-The residual of a direct solution is about as large (docs/theory.md).
+for the residual :math:`b - T^⊤ K T x` on the free dofs. A product :math:`k_{ij} x_j` has a relative
+error of ε/2 at most from its own rounding, and as much from that of :math:`x_j`: ε in all. Errors
+with random signs add up to the root above. The residual of a direct solution is about as large
+(docs/theory.md).
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ CHUNK_ROWS = 20_000
 #: Machine epsilon ε, twice the largest relative rounding error.
 EPS = float(np.finfo(np.float64).eps)
 
-#: Largest force A y that counts as zero, as a multiple of its estimated rounding errors, for a y
-#: with rounding errors of its own. Measured: 0.3 to 2 for the zero forces of a mechanism; 110 for
-#: islands in a void with 1e-12 of the stiffness, and two million for a bending strip of t/L = 5e-4,
-#: whose forces are not zero. Half and twice the value change no result.
+#: Largest force A y that counts as zero, as a multiple of its estimated rounding errors. The vector
+#: y has rounding errors itself. Measured: 0.3 to 2 for a mechanism, whose forces are zero. Measured
+#: for forces that are not zero: 110 for islands in a void with 1e-12 of the stiffness, and two
+#: million for a bending strip of t/L = 5e-4. Half and twice the value change no result.
 FORCE_ROUNDING_MARGIN = 15.0
 
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Whether the matrices :math:`K_i` of all subdomains are symmetric up to rounding.
+r"""A test whether the matrices :math:`K_i` of all subdomains are symmetric up to rounding.
 
 .. math:: |a_{ij} - a_{ji}| ≤ τ\, s_i s_j, \qquad
           s_i^2 = \max(|a_{ii}|, \, τ_s \max_j |a_{ij}|)
@@ -28,9 +28,10 @@ from dolfinx_feti.runtime.petsc_library import csr_of, product
 #: condensation reach 7e-12 (P2) and 3e-13 (P2–P0) for κ/μ = 10⁶.
 SYMMETRY_RTOL = 1e-10
 
-#: Largest component of s⁻¹ (K − Kᵀ) s⁻¹ ω, with random weights ω between 1 and 2, with which K
-#: counts as symmetric without an inspection of its entries. A hundredth of SYMMETRY_RTOL: an entry
-#: that violates that bound makes its row violate this one, unless other entries cancel it.
+#: Bound for the components of s⁻¹ (K − Kᵀ) s⁻¹ ω, with random weights ω between 1 and 2. Below it,
+#: K counts as symmetric, and its entries are not compared. It is a hundredth of SYMMETRY_RTOL: one
+#: entry above SYMMETRY_RTOL lifts the component of its row above this bound, unless other entries
+#: of the row cancel it.
 PROBE_RTOL = 1e-12
 
 #: Smallest s_i², relative to the largest entry of its row. It gives a scale to rows with a zero on

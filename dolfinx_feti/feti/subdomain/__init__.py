@@ -20,7 +20,8 @@ Steps 1 and 2 are collective. Steps 3 and 4 work on each process alone, inside o
 - The matrices: matrix (K_i), schur (S_i).
 - The modes without energy: kernel_detection (the procedure and its tolerances), null_vectors,
   interior (those of K_II).
-- All modes: modes, scaled, soft_modes, mode_search.
+- All modes: modes (R, Y, E and D, the result), scaled (the matrix in which they are searched),
+  soft_modes (soft and buckling modes), mode_search (the search, from K to the result).
 
 In shapes, subdomain i has n_i free dofs, n_{Γ,i} of them on its interface and n_{I,i} in its
 interior. This process has n torn dofs, n_Γ = Σ n_{Γ,i} of them on interfaces. If the interior is

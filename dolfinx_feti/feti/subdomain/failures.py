@@ -77,8 +77,9 @@ def on_subdomains(work: Callable[[], T], comm: MPI.Comm) -> T:
         The result of this process.
 
     Raises:
-        SetUpError: With the error of the first process where the work failed; a SingularError if it
-            is a SingularBlockError.
+        SetUpError: The work failed on some process. The message contains the error of this process,
+            or else that of the first process where the work failed. It is a SingularError if that
+            error is a SingularBlockError.
     """
     try:
         return on_all(work, comm)

@@ -77,7 +77,7 @@ class LocalInverse:
         return X if self._is_on_interface is None else X[self._is_on_interface]
 
     def extend_by_zero(self, F: Array) -> Array:
-        """Return F on Γ, and zero inside, (n_{Γ,i},) → (n_i,) or (n_{Γ,i}, r) → (n_i, r)."""
+        """Return F on Γ, else zero, (n_{Γ,i},) → (n_i,) or (n_{Γ,i}, r) → (n_i, r)."""
         if self._is_on_interface is None:
             return F
         X = np.zeros((len(self.dofs), *F.shape[1:]))
@@ -189,7 +189,7 @@ class GeneralizedInverse:
             return self._errors.guard(solve, t.shape)
 
     def count_negative_eigenvalues(self) -> int | None:
-        """Return the number of negative eigenvalues of all K_ρ of this process, if known."""
+        """Return the number of negative eigenvalues of all K_ρ of this process; None if unknown."""
         return sum_counts([inverse.factor.inertia.negative for inverse in self.blocks])
 
     def memory(self) -> float:
@@ -219,7 +219,7 @@ def create_generalized_inverse(
         S: The Schur complements of the current K. If they are formed, the blocks S_i are inverted;
             otherwise the blocks K_i of ``S.torn``.
         analysis: The subdomains, and how they are factored.
-        near_kernel: The near kernel of the assembled problem on the torn dofs, (n, any number).
+        near_kernel: The near kernel of the assembled problem on the torn dofs, (n, r).
         fixed: Mask of the torn dofs that are fixed in the local matrices, (n,).
         options: Which soft modes join Y.
         allow_single_precision: Whether factors may be in single precision, for a preconditioner.
@@ -232,7 +232,7 @@ def create_generalized_inverse(
     """
     torn = S.torn
     interface = interface_dofs(analysis.subdomains)
-    stiffness = np.zeros(torn.n)  # k_Γ: zero inside
+    stiffness = np.zeros(torn.n)  # k_Γ on the interface, zero elsewhere
     stiffness[interface] = torn.stiffness()[interface]
     rigid = [rigid_modes(near_kernel[s.dofs], fixed[s.dofs]) for s in analysis.subdomains]
     rigid_forces = _estimate_rigid_forces(torn, analysis.subdomains, rigid)
@@ -265,6 +265,8 @@ def _estimate_rigid_forces(
     torn: Torn, subdomains: Sequence[Subdomain], rigid: Sequence[Array]
 ) -> list[float]:
     """Return ‖K_i R ω‖ of every subdomain for random weights ω, which estimates ‖K_i R‖.
+
+    One product with the local matrix K of the process serves all subdomains.
 
     Args:
         torn: The torn matrix.

@@ -112,7 +112,7 @@ def _null_vectors_of_interior(
 
 
 def _are_null_vectors(K: scipy.sparse.csr_array, Y: Array, d: Array) -> Mask:
-    r"""Return the mask of the columns y with a product K y of rounding errors, (r,).
+    r"""Return the mask of the columns y whose product K y consists of rounding errors, (r,).
 
     .. math:: \|d^{-1/2} K y\| ≤ c\, ε\, \bigl(\|d^{-1/2} \sqrt{\textstyle\sum_j K_{ij}^2 y_j^2}\|
               + \|d^{1/2} y\|\bigr)

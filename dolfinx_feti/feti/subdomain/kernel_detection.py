@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Detection of the zero-energy modes of one subdomain: the procedure, and its tolerances.
 
-A stiffness counts as zero on the scale of the absolute diagonal d of K_i, in the *equilibrated*
-matrix with a unit diagonal, and with orthonormal columns :math:`\tilde R` of :math:`d^{1/2} R`,
+A null vector is found in the *equilibrated* matrix, which has a unit diagonal. With the absolute
+diagonal d of K_i, and an orthonormal basis :math:`\tilde R` of the span of :math:`d^{1/2} R`,
 
 .. math:: \tilde K = d^{-1/2} K d^{-1/2}, \qquad
           \|(\tilde K + \tilde R \tilde R^⊤)\, \tilde y\| ≤ ε\, \|\tilde y\|,
@@ -13,14 +13,14 @@ matrix with a unit diagonal, and with orthonormal columns :math:`\tilde R` of :m
 1. *Rigid modes* (``modes.rigid_modes``): the candidates are the near kernel of the assembled
    problem, restricted to the subdomain. Combinations that vanish on its fixed dofs
    (:data:`MAX_NORM_ON_FIXED_DOFS`) are its rigid modes. They join R even if K R ≠ 0.
-2. *Test* (``null_vectors.is_numerically_singular``): K_ρ is factored with the rigid modes in R. The
-   test fails if a solve makes random vectors grow by more than ``max_growth`` of
-   :class:`NullTolerances`, or if a pivot is zero. A factor in single precision has already passed a
+2. *Test* (``null_vectors.is_numerically_singular``): K_ρ is factored with the rigid modes in R. It
+   counts as singular if a pivot is zero, or if a solve makes random vectors grow by more than
+   ``max_growth`` of :class:`NullTolerances`. A factor in single precision has already passed a
    stricter bound on the growth (``scaled.ScaledMatrix.factor_for_preconditioner``).
-3. *Null vectors* (``null_vectors.null_vectors``): if the test fails, the singular vectors with
+3. *Null vectors* (``null_vectors.null_vectors``): if K_ρ counts as singular, the null vectors with
    ε = ``max_singular_value`` join R. If there are none, the matrix is only badly conditioned, and
-   is used as it is. If K_ρ fails the test with the null vectors in R, an error is raised
-   (``mode_search``).
+   is used as it is. If K_ρ counts as singular although the null vectors are in R, an error is
+   raised (``mode_search``).
 4. *Exactness* (``mode_search``): if the forces K R of rigid modes (:data:`MAX_RIGID_FORCE`) and of
    null vectors (:data:`MAX_NULL_FORCE`) are rounding errors, E = R and D = 0 are used. Otherwise E
    and D are computed from K R.
@@ -33,9 +33,9 @@ equilibrated one. Modes with little energy then count as well: :data:`NEARLY_NUL
 :data:`EXACTLY_NULL`. Dependent columns are removed by ``orthonormal.RANK_RTOL`` and
 ``orthonormal.MIN_SINE``.
 
-Another detection replaces the two functions of ``null_vectors``, which K_ρ and K_II share. Two
-shortcuts in ``mode_search`` precede step 2: a factor in single precision is not tested again, and
-if the factorisation stops at a zero pivot, step 3 follows at once.
+To detect null vectors in another way, replace the two functions of ``null_vectors``, which serve
+both K_ρ and K_II. Two shortcuts in ``mode_search`` precede step 2: a factor in single precision is
+not tested again, and if the factorisation stops at a zero pivot, step 3 follows at once.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ MAX_NULL_FORCE = 3e-14
 
 @dataclass(frozen=True, slots=True)
 class NullTolerances:
-    """Tolerances by which a matrix K_ρ has null vectors that are not in R.
+    """Tolerances of the search for null vectors of K_ρ that are not in R.
 
     Attributes:
         max_growth: Largest growth ‖K̃_ρ⁻¹ x‖/‖x‖ of random vectors, in a solve with the
-            equilibrated matrix, with which there are none. The growth is about the inverse of the
-            smallest singular value, divided by the square root of n_i.
+            equilibrated matrix, with which no null vectors are searched. The growth is about the
+            inverse of the smallest singular value, divided by the square root of n_i.
         max_singular_value: ε, the largest singular value of the equilibrated matrix whose singular
             vector counts as a null vector.
     """

@@ -45,8 +45,8 @@ class LocalMatrix(Protocol):
     def diagonal_of_K(self) -> Array:
         """Absolute diagonal of K_i on ``dofs``, even if the matrix is S_i, (n_i,).
 
-        On its scale a stiffness counts as zero. The diagonal of S_i would not do: an entry is zero
-        if a mode without energy moves that dof, but no other dof of Γ.
+        It is the scale on which a stiffness counts as zero. The diagonal of S_i cannot be that
+        scale: an entry of it is zero if a mode without energy moves its dof, but no other dof of Γ.
         """
 
     def multiply(self, X: Array) -> Array:
@@ -65,7 +65,7 @@ class LocalMatrix(Protocol):
                 factorisations cannot handle that (``factors.create``).
 
         Raises:
-            FactorError: There is no factor.
+            FactorError: The matrix cannot be factored.
         """
 
     def factor_for_preconditioner(self, R: Array, rho: float) -> Factor:

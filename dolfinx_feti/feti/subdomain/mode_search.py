@@ -47,8 +47,8 @@ LIFT = 2.0
 
 #: Smallest |δ| of a negative eigenvalue δ of D, over the mean stiffness of the interface dofs, with
 #: which a subdomain counts as softened by stress. A tube of 12 subdomains at 80 mmHg takes 416
-#: iterations in all with this bound, half and twice of it, and 455 if softened subdomains get no
-#: soft modes.
+#: iterations in all with this bound, with half of it, and with twice of it. It takes 455 if
+#: softened subdomains get no soft modes.
 MIN_SOFTENING = 5e-4
 
 #: Largest |δ| of a negative eigenvalue δ of D, over ρ, that counts as rounding of the local solves.
@@ -294,7 +294,7 @@ def _complete_modes(
 
 
 def _is_mapped_to_rounding(K: ScaledMatrix, null: Array) -> bool:
-    """Return True if the forces of null vectors y, (n_i, any number), are rounding errors.
+    """Return True if the forces of null vectors y, (n_i, r), are rounding errors.
 
     The forces are those of the equilibrated matrix, ‖K̃ ỹ‖ with ỹ = d^½ y, over ‖ỹ‖.
     """

@@ -73,7 +73,7 @@ def rigid_modes(near_kernel: Array, is_fixed: Mask) -> Array:
     """Return the combinations of the near kernel that vanish on the fixed dofs.
 
     Args:
-        near_kernel: The near kernel on all dofs of a subdomain, (n_all, any number).
+        near_kernel: The near kernel on all dofs of a subdomain, (n_all, r).
         is_fixed: Mask of the fixed ones among them, (n_all,).
 
     Returns:

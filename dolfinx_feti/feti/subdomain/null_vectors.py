@@ -95,7 +95,7 @@ def null_vectors(
         tolerances: Largest singular value of a null vector, of the equilibrated block.
 
     Returns:
-        The null vectors d^−½ ỹ with orthonormal ỹ, (n_i, any number).
+        The null vectors d^−½ ỹ with orthonormal ỹ, (n_i, r).
 
     Raises:
         FactorError: The shifted block has no factor, or K has NaN or Inf.

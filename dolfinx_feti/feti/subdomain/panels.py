@@ -43,7 +43,8 @@ class Panels:
         starts: Index in ``rows`` of the first row of each panel, and the end, (panels + 1,).
         rows: Rows of each panel, (Σ rows of a panel,); a panel has each row once at most.
         widths: Number of columns of each panel, (panels,).
-        values: Values of the panels on their rows, one panel after the other, row by row.
+        values: Values of the panels on their rows, one panel after the other, row by row,
+            (Σ rows of a panel × columns of it,).
     """
 
     code: Any

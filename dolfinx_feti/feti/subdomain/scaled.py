@@ -32,10 +32,10 @@ from dolfinx_feti.runtime.arrays import Array
 #: tests converge in the same way.
 MAX_DIAGONAL_RATIO = 1e6
 
-#: Largest relative error of a solve in single precision, the growth of random vectors times
-#: :data:`SINGLE_ROUNDING`, with which the factor is used as a preconditioner. A tube of 12
-#: subdomains at 80 mmHg takes 416 iterations with this bound, half and twice of it, and 415 in
-#: double precision, which needs twice the memory.
+#: Largest relative error of a solve in single precision that a preconditioner may have. The error
+#: is estimated by the growth of random vectors times :data:`SINGLE_ROUNDING`. A tube of 12
+#: subdomains at 80 mmHg takes 416 iterations with this bound, with half of it, and with twice of
+#: it. In double precision, which needs twice the memory, it takes 415.
 MAX_SINGLE_PRECISION_ERROR = 0.1
 
 
@@ -96,7 +96,7 @@ class ScaledMatrix:
 
     @property
     def null_tolerances(self) -> NullTolerances:
-        """Tolerances of null vectors; in a scaled matrix modes with little energy count, too."""
+        """Tolerances of null vectors. In a scaled matrix modes with little energy are included."""
         return EXACTLY_NULL if self.scale is None else NEARLY_NULL
 
     def scale_modes(self, R: Array) -> Array:
@@ -177,7 +177,7 @@ def scale_matrix(
         matrix: The matrix K, (n_i, n_i).
         stiffness: Stiffness of the interface dofs, zero on other dofs, (n_i,).
         allow_single_precision: Whether a factor for a preconditioner may be in single precision.
-            That of a scaled matrix may not: its softest modes are lost in rounding.
+            The factor of a scaled matrix never is: rounding would lose its softest modes.
     """
     d = matrix.diagonal_of_K
     positive = d[d > 0.0]

@@ -73,7 +73,7 @@ class AppliedSchurComplement(SchurComplement):
         self._K = K
 
     def multiply(self, X: Array, *, transpose: bool = False) -> Array:
-        """Return K_ΓΓ X − K_ΓI K_II⁻¹ K_IΓ X, or that of the transpose, (n_{Γ,i}, r)."""
+        """Return K_ΓΓ X − K_ΓI K_II⁻¹ K_IΓ X, or the same with Kᵀ in place of K, (n_{Γ,i}, r)."""
         Γ = self.subdomain.interface
         I = self.subdomain.interior  # noqa: E741
         multiply = partial(multiply_block, self._K, transpose=transpose)
@@ -116,7 +116,7 @@ class FormedSchurComplement(SchurComplement):
     def factor(
         self, R: Array, rho: float, shift: Array | None = None, *, is_graded: bool = False
     ) -> Factor:
-        """Factor S_i + ρ R Rᵀ + diag(shift), graded or not; see ``matrix.LocalMatrix``."""
+        """Factor S_i + ρ R Rᵀ + diag(shift); R may be graded. See ``matrix.LocalMatrix``."""
         return factor_dense(self.matrix, R, rho, shift)
 
     def factor_for_preconditioner(self, R: Array, rho: float) -> Factor:

@@ -43,8 +43,9 @@ from dolfinx_feti.torn.matrix import Torn
 class SchurOperator(ABC):
     """S of all subdomains of this process, block-diagonal, and the solves with K_II.
 
-    It is valid until the entries of ``torn.K`` change. If a product or solve in an iteration fails,
-    the result is NaN, and ``torn.errors`` has the error; other methods raise their errors.
+    It is valid until the entries of ``torn.K`` change. Iterations call ``multiply``,
+    ``multiply_on_interface``, ``interface_load`` and ``extend``: if one of these fails, it returns
+    NaN, and ``torn.errors`` has the error. ``multiply_columns`` raises its error.
 
     Attributes:
         torn: The torn matrix.
@@ -100,7 +101,10 @@ class SchurOperator(ABC):
         return SX
 
     def interface_load(self, f: Array) -> Array:
-        """Return f̂_Γ = f_Γ − K_ΓI K_II⁻¹ f_I, with the interior eliminated, (n,), zero inside."""
+        """Return the load of the interface with the interior eliminated, (n,).
+
+        It is f̂_Γ = f_Γ − K_ΓI K_II⁻¹ f_I for a load f, (n,), and zero off the interface.
+        """
 
         def condensed_load() -> Array:
             load = f - self.torn.multiply(self._solve_interior(f))  # f − K (0, K_II⁻¹ f_I)
@@ -109,7 +113,15 @@ class SchurOperator(ABC):
         return self.torn.errors.guard(condensed_load, f.shape)
 
     def extend(self, u: Array, f: Array) -> Array:
-        """Extend u_Γ to the interior, u_I = K_II⁻¹ (f_I − K_IΓ u_Γ), (n,)."""
+        """Extend a displacement of the interface to the interior, u_I = K_II⁻¹ (f_I − K_IΓ u_Γ).
+
+        Args:
+            u: Displacement, (n,), of which only the values u_Γ are read.
+            f: Load, (n,), of which only the values f_I are read.
+
+        Returns:
+            u_Γ on the interface, u_I in the interior, and zero on fixed dofs, (n,).
+        """
         on_interface = np.where(self._is_on_interface, u, 0.0)
 
         def extension() -> Array:
@@ -244,7 +256,7 @@ class InterfaceRows:
         all_dofs.destroy()
 
     def multiply_extended(self, t: Array) -> Array:
-        """Return K t for t on the interface, and zero inside, (n_Γ,) → (n,)."""
+        """Return K t for t on the interface, extended by zero, (n_Γ,) → (n,)."""
         if self._columns is None:
             return product(self._K_Γ, t, transpose=True)
         return product(self._columns, t)

@@ -9,13 +9,18 @@ depend on these interfaces only.
 
 To add a dense factorisation, write a class with the methods of ``Factor``, and a branch in
 ``create.factor_dense``. To add a sparse one, write two classes with the methods of
-``SymbolicFactor`` and of ``Factor``, and a branch in ``create.analyse_blocks``. Two conditions:
+``SymbolicFactor`` and of ``Factor``, and a branch in ``create.analyse_blocks``. Four points:
 
 - For a block with an interface it has to form S. If it cannot, leave these blocks to the present
   branch.
-- ``woodbury`` adds a dense matrix on ``SymbolicFactor.last_dofs``. If there are none,
-  ``create.factor_sparse`` falls back to ``petsc_factor`` for every block with modes R, unless you
-  add a branch there that factors K + ρ R Rᵀ in another way.
+- For an indefinite matrix ``SymbolicFactor.factor`` has to return None, even if it can factor it:
+  ``woodbury`` counts the negative eigenvalues of K_ρ on that assumption.
+- ``woodbury`` needs the dofs ``SymbolicFactor.last_dofs``, to add a dense matrix on them. If there
+  are none, ``petsc_factor`` factors every block with modes R, such as those of all floating
+  subdomains. To avoid that, add a branch to ``create.factor_sparse`` that factors K + ρ R Rᵀ.
+- The options choose between the factorisations of this package and the solvers of PETSc
+  (``DirectOptions`` in ``feti.subsolver_options``). An option that chooses among the former is a
+  new field there.
 
 A direct solver of PETSc needs no code if it factors indefinite matrices, such as the bordered one
 of ``petsc_factor``. The options ``feti_local_pc_factor_mat_solver_type`` (of K_ρ) and

@@ -524,6 +524,9 @@ int multifrontal_analyse(const subdomain_graph *graph, assembly_tree **result)
 //
 // The update matrices of its children are on top of the stack. They are added to it and popped; then
 // its own update matrix is moved to the end of the shortened stack.
+//
+// BLAS and LAPACK take the addresses of all arguments, without const. Variables whose addresses are
+// passed are therefore not const, although the routines do not change them.
 
 // Arguments and work space of the factorisation of one matrix.
 typedef struct {
@@ -738,6 +741,7 @@ int multifrontal_factor(const assembly_tree *tree, const process_matrix *K,
         double *const C = P + p * (p + F->q);
         status = assemble_front(&w, F, P, C);
         if (addend_on_last && i == tree->front_count - 1) {
+            // The elimination reads the upper triangle only.
             for (int64_t e = 0; e < p * p; ++e) P[e] += addend_on_last[e];
         }
         if (!status) status = eliminate_pivots(F, P, C, dense);

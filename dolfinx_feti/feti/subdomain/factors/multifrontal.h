@@ -6,8 +6,8 @@
 //
 // Shapes: a process has n dofs in all its subdomains. One subdomain has n_i dofs, n_I of them in its
 // interior and n_Γ on its interface. Its graph has m nodes; a node is a group of consecutive dofs
-// that are eliminated together. The rank of a dof is its place in the order of elimination; the
-// dofs of Γ have the last n_Γ ranks. Dense matrices are stored column by column.
+// that are eliminated together. The rank of a dof is its place in the order of elimination, not a
+// rank of MPI; the dofs of Γ have the last n_Γ ranks. Dense matrices are stored column by column.
 //
 // No function keeps a pointer that it is passed. cffi parses this file, which therefore has no
 // preprocessor directives: multifrontal.c includes stdint.h first.

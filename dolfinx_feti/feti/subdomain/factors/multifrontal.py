@@ -130,7 +130,8 @@ class Fronts:
     Attributes:
         code: The compiled code.
         tree: The fronts, an ``assembly_tree *`` of C.
-        ranks: Place of each interior dof in the order of elimination, (n_{I,i},).
+        ranks: Place of each interior dof in the order of elimination, (n_{I,i},). These ranks are
+            not those of MPI.
         last_dofs: Interior dofs that are pivots of the last front, (p,). If the interior is
             connected, they contain a separator that cuts it in two.
         factor_entries: Number of entries of the factor of K_II.

@@ -32,8 +32,8 @@ SEED = 1998
 def nested_dissection(ptr: Indices, adjacent: Indices, interior: Indices) -> Indices:
     """Return the nodes of the interior in the order of their elimination.
 
-    METIS needs a symmetric graph. PETSc orders a graph that is not symmetric, as of a symmetric
-    matrix that stores some zeros on one side only.
+    METIS needs a symmetric graph. PETSc orders any other, such as that of a symmetric matrix that
+    stores some zeros on one side of the diagonal only.
 
     Args:
         ptr: Place of the first neighbour of each node, (nodes + 1,).

@@ -42,7 +42,7 @@ class PackedMatrix:
     """
 
     def __init__(self, values: Array, n: int, work: WorkSpace) -> None:
-        """Refer to the entries without copying them; nobody may change them.
+        """Refer to the entries without copying them; they must not change later.
 
         Raises:
             FactorError: An entry is NaN or Inf.

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Factors of sparse regularised blocks by MUMPS, with pivoting, or another direct solver of PETSc.
+r"""Factors of sparse regularised blocks by a direct solver of PETSc, by default MUMPS.
 
 .. math:: \begin{pmatrix} K & ρ R \\ ρ R^⊤ & -ρ I \end{pmatrix}
           \begin{pmatrix} x \\ μ \end{pmatrix} = \begin{pmatrix} y \\ 0 \end{pmatrix}

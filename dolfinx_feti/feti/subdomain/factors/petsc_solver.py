@@ -112,7 +112,8 @@ def set_up_with_retries(
     Collective on the communicator of the solver.
 
     Args:
-        create: Returns a new solver. PETSc does not call MUMPS again with a factor that failed.
+        create: Returns a new solver for each attempt, because PETSc does not call MUMPS again with
+            a factor that failed.
         configure: Configures it for a work space in percent.
 
     Returns:

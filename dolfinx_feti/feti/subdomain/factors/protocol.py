@@ -85,8 +85,9 @@ class Elimination(Protocol):
 class SymbolicFactor(Protocol):
     """The symbolic factorisation of one sparse symmetric block, (n_i, n_i); immutable.
 
-    It depends only on the pattern of the block, which belongs to a subdomain, with its interface Γ
-    or without.
+    It depends only on the pattern of the block. A block with an interface Γ is the matrix of a
+    subdomain, of which the interior is eliminated. A block without one is eliminated as a whole:
+    all of its dofs are interior ones below, and K_II is the block.
     """
 
     @property
@@ -104,7 +105,7 @@ class SymbolicFactor(Protocol):
 
         Args:
             K: Matrix of all subdomains of the process, (n, n).
-            work: Work space.
+            work: Work space, shared with other blocks. The results do not refer to it.
             addend_on_last: Added to K_II on the dofs ``last_dofs``, (p, p); None for zero.
 
         Returns:

@@ -75,7 +75,7 @@ class WoodburyFactor:
     Attributes:
         inertia: Number of negative eigenvalues of K_ρ; no zero pivots.
         is_single_precision: False.
-        last_dofs: Dofs that are eliminated last, (p,), for tests.
+        last_dofs: Dofs that are eliminated last, (p,). Only tests read them.
     """
 
     is_single_precision = False
