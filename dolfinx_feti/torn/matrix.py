@@ -57,10 +57,17 @@ CONDENSED_PRESSURES = "condensed pressures"
 #: Error for an assembled matrix of the type {0}.
 NOT_TORN = (
     "The matrix has type '{0}', but FETI needs a torn matrix (MATIS), because an assembled one no "
-    "longer has the subdomains. With forms of UFL use the matrix of a problem, A, b = "
-    "dolfinx_feti.LinearProblem(a, L, bcs=bcs).linear_system(), or that of a NonlinearProblem; "
-    "from matrices of the subdomains create one by dolfinx_feti.create_torn_matrix (see "
-    "docs/own_matrix.md)."
+    "longer has the subdomains. With forms of UFL use the matrix of a problem: problem = "
+    "dolfinx_feti.LinearProblem(a, L, bcs=bcs); A, b = problem.linear_system(), or that of a "
+    "NonlinearProblem; from matrices of the subdomains create one by "
+    "dolfinx_feti.create_torn_matrix (see docs/own_matrix.md)."
+)
+
+#: Error for a matrix without a type: PETSc creates an empty one where it is given a destroyed one.
+DESTROYED = (
+    "The matrix has no type, as after its destruction: a torn matrix is destroyed with the problem "
+    "it belongs to. Keep the problem as long as the matrix, as in problem = "
+    "dolfinx_feti.LinearProblem(a, L, bcs=bcs); A, b = problem.linear_system()."
 )
 
 
@@ -295,7 +302,7 @@ class Torn:
         self.comm = A.comm.tompi4py()
         self.errors = DeferredErrors()
         if A.getType() != PETSc.Mat.Type.IS:
-            text = NOT_TORN.format(A.getType())
+            text = DESTROYED if A.getType() is None else NOT_TORN.format(A.getType())
             if self.comm.rank == 0:
                 logger.error(text)  # callers in C and C++ get only PETSc's error number
             raise TypeError(text)

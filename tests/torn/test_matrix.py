@@ -297,3 +297,11 @@ def test_rounding_of_a_product(read):
     t = np.random.default_rng(SEED).standard_normal(len(problem.to_global))
     found = whole(product_rounding_squares(torn.K, t[mine]))
     equal(found / EPS**2, (problem.K_torn**2) @ t**2, 1e-13)
+
+
+def test_matrix_that_was_destroyed():
+    """PETSc makes an empty one of it; the message says what has to be kept."""
+    empty = PETSc.Mat().create(COMM)
+    with raises(TypeError, "has no type, as after its destruction.*Keep the problem"):
+        Torn(empty)
+    empty.destroy()
