@@ -1,7 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Functions of PETSc, and of libraries that it is linked with, that petsc4py does not wrap."""
+"""Functions of PETSc and of the libraries that it is linked with, which petsc4py does not wrap.
+
+:func:`csr_of` reads the arrays of a matrix, :func:`pattern_version` shows whether its pattern has
+changed, :func:`product` multiplies numpy arrays with it.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""PETSc's options database: check of a prefix, options inserted or withheld for a while."""
+"""PETSc's options database: check of a prefix; contexts that set or remove options; unread ones."""
 
 from __future__ import annotations
 

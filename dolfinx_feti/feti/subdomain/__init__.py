@@ -25,8 +25,10 @@ Steps 1 and 2 are collective. Steps 3 and 4 work on each process alone, inside o
 
 In shapes, subdomain i has n_i free dofs, n_{Γ,i} of them on its interface and n_{I,i} in its
 interior. This process has n torn dofs, n_Γ = Σ n_{Γ,i} of them on interfaces. If the interior is
-eliminated, S_i replaces K_i, and n_i means n_{Γ,i}. *The paper* is Augustin, Holzapfel and
-Steinbach 2014 (docs/theory.md).
+eliminated, S_i replaces K_i, and n_i means n_{Γ,i}. A *block* is what one subdomain contributes to
+a block-diagonal matrix: K_i, K_II or S_i. In ``factors`` it is the matrix that is factored. A block
+*of dofs* has the bs dofs of one node, where bs is PETSc's block size. *The paper* is Augustin,
+Holzapfel and Steinbach 2014 (docs/theory.md).
 
 In the order of the data: subdomain, failures, blocks, block_diagonal, panels, orthonormal, factors,
 analysis, matrix, schur, schur_operator, kernel_detection, null_vectors, interior, modes, scaled,

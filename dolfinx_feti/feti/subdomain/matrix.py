@@ -39,7 +39,7 @@ class LocalMatrix(Protocol):
 
     @property
     def dofs(self) -> Indices:
-        """Torn dofs of its rows, (n_i,)."""
+        """Torn dofs of its rows, (n_i,): the free ones or Γ, unlike ``Subdomain.dofs``."""
 
     @property
     def diagonal_of_K(self) -> Array:

@@ -208,7 +208,7 @@ def _append_buckling_modes(K_ρ: RegularisedMatrix) -> RegularisedMatrix:
     Krylov method for indefinite systems (``setup.Inertia``).
 
     Args:
-        K_ρ: The matrix; destroyed if another one takes its place.
+        K_ρ: The matrix. Destroyed if another one is returned; the caller may destroy it again.
 
     Returns:
         K_ρ, or one with buckling modes after the columns of R, or with a larger ρ.
@@ -325,9 +325,10 @@ def _is_softened(K: ScaledMatrix, D: Array) -> bool:
 def _needs_soft_modes(factor: ScaledFactor, options: SoftModeOptions, *, is_softened: bool) -> bool:
     """Return True unless the adaptive columns, which are computed later, contain the soft modes.
 
-    They contain the soft modes if stress does not soften the subdomain, S_i is formed, and no mode
-    is too soft for single precision. A factor in single precision implies the last two conditions:
-    only a formed S_i gets one, and only if random vectors grow little in a solve.
+    They contain the soft modes under three conditions: stress does not soften the subdomain, S_i is
+    formed, and no mode is too soft for single precision. A factor in single precision implies the
+    second and third: only a formed S_i gets one, and only if random vectors grow little in a solve.
+    If single precision is not allowed, soft modes are computed in addition.
     """
     if not options.has_adaptive_columns or is_softened:
         return True

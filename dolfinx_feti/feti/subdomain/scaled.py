@@ -41,7 +41,7 @@ MAX_SINGLE_PRECISION_ERROR = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ScaledFactor:
-    """Factor of a scaled matrix; methods are those of ``Factor``.
+    """Factor of a scaled matrix, by that of the unscaled one; methods are those of ``Factor``.
 
     Attributes:
         unscaled: Factor of the same matrix before it was scaled, s K̂ s.
