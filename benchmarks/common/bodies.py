@@ -129,7 +129,7 @@ def create_body(
     measure: Callable[[dolfinx.fem.Function], dict[str, float]] = lambda _u: {},
     grip: float = 0.0,
     degree: int = 2,
-    tangent: loads.Kind = "auto",
+    tangent: loads.TangentKind = "auto",
     lumen: bool = False,
     axis: tuple[float, float, float] | None = None,
     settings: Mapping[str, object] | None = None,

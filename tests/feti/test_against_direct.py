@@ -142,7 +142,7 @@ def test_elements_other_than_lagrange(create, mesh, element, stretched, formulat
     layout = problem.V.dofmap.dof_layout
     dim = problem.V.mesh.topology.dim
     inside = problem.V.dofmap.list[: problem.cells, layout.entity_dofs(dim, 0)].ravel()
-    dof = tear(problem.V, linear.decomposition).dof
+    dof = tear(problem.V, linear.decomposition).local_block
     bs = problem.V.dofmap.index_map_bs
     on_interface = np.concatenate(form.operator.interfaces) // bs
     agree(not np.isin(dof[on_interface], inside).any())
