@@ -28,12 +28,12 @@ from dolfinx_feti.feti.subdomain.subdomain import Subdomain
 from dolfinx_feti.feti.subsolver_options import SubsolverOptions
 from dolfinx_feti.torn.matrix import Torn
 
-#: Largest ratio of the number of entries of all :math:`S_i` to the sum of :math:`n_i^{4/3}` with
-#: which they are formed. A sparse factor in three dimensions has about 30 :math:`n_i^{4/3}`
+#: All :math:`S_i` are formed if together they have at most this many entries for each unit of the
+#: sum of :math:`n_i^{4/3}`. A sparse factor in three dimensions has about 30 :math:`n_i^{4/3}`
 #: entries: at this ratio both take about the same memory.
 MAX_MEMORY_RATIO = 30.0
 
-#: Largest interface of a subdomain with which S is formed [dofs]. A memory bound: 2048² doubles are
+#: S is formed only if no subdomain has a larger interface [dofs]. A memory bound: 2048² doubles are
 #: 32 MiB.
 MAX_INTERFACE = 2048
 

@@ -42,9 +42,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-#: Largest norm of a mode on the fixed dofs, over that on all dofs of the subdomain, with which it
-#: counts as zero there. The square root of the machine epsilon: modes of subdomains far from the
-#: origin agree in up to half of their digits, and their combinations lose these digits.
+#: A mode counts as zero on the fixed dofs if its norm on them is at most this multiple of its norm
+#: on all dofs of the subdomain. The value is the square root of the machine epsilon: modes of
+#: subdomains far from the origin agree in up to half of their digits, and their combinations lose
+#: these digits.
 MAX_NORM_ON_FIXED_DOFS = 1e-8
 
 #: Largest ‖K R ω‖ of rigid modes with random weights ω, over the mean ρ of the diagonal of K, that
@@ -64,9 +65,9 @@ class NullTolerances:
     """Tolerances of the search for null vectors of K_ρ that are not in R.
 
     Attributes:
-        max_growth: Largest growth ‖K̃_ρ⁻¹ x‖/‖x‖ of random vectors, in a solve with the
-            equilibrated matrix, with which no null vectors are searched. The growth is about the
-            inverse of the smallest singular value, divided by the square root of n_i.
+        max_growth: Null vectors are searched if a solve with the equilibrated matrix makes random
+            vectors x grow by more, ‖K̃_ρ⁻¹ x‖ > max_growth ‖x‖. The growth is about the inverse of
+            the smallest singular value, divided by the square root of n_i.
         max_singular_value: ε, the largest singular value of the equilibrated matrix whose singular
             vector counts as a null vector.
     """

@@ -45,9 +45,9 @@ MAX_BUCKLING_ROUNDS = 3
 #: at 80 mmHg takes the same number of iterations with 1.1, 2 and 4.
 LIFT = 2.0
 
-#: Smallest |δ| of a negative eigenvalue δ of D, over the mean stiffness of the interface dofs, with
-#: which a subdomain counts as softened by stress. A tube of 12 subdomains at 80 mmHg takes 416
-#: iterations in all with this bound, with half of it, and with twice of it. It takes 455 if
+#: A subdomain counts as softened by stress if D has a negative eigenvalue δ with |δ| above this
+#: multiple of the mean stiffness of the interface dofs. A tube of 12 subdomains at 80 mmHg takes
+#: 416 iterations in all with this bound, with half of it, and with twice of it. It takes 455 if
 #: softened subdomains get no soft modes.
 MIN_SOFTENING = 5e-4
 

@@ -27,9 +27,9 @@ from dolfinx_feti.runtime.arrays import Array
 #: half of their digits, and still count as independent.
 RANK_RTOL = 1e-8
 
-#: Largest sine of the angle between a column and the span of others with which the column counts as
-#: dependent on them. Its orthogonal part has rounding errors of 1e-16, which at this angle are
-#: 1e-10 of that part.
+#: A column counts as dependent on others if the sine of its angle to their span is at most this.
+#: The part of a unit column that is orthogonal to the span has rounding errors of 1e-16. At this
+#: angle they are 1e-10 of that part.
 MIN_SINE = 1e-6
 
 

@@ -35,9 +35,10 @@ from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.petsc_library import CSRMatrix
 
-#: Smallest singular value of R on the last dofs, relative to the largest one, with which K_Q is
-#: factored. The condition number of K_Q is that of K_ρ times the inverse square of this ratio: at
-#: the bound four of sixteen digits are lost. Separators of 64 dofs or more have ratios of 0.1 to 1.
+#: K_Q is factored if the smallest singular value of R on the last dofs is above this multiple of
+#: the largest one. The condition number of K_Q is that of K_ρ times the inverse square of the
+#: ratio: at this bound four of sixteen digits are lost. Separators of 64 dofs or more have ratios
+#: of 0.1 to 1.
 MIN_SINGULAR_VALUE = 1e-2
 
 
