@@ -4,7 +4,9 @@
 """FETI and other solvers compared: on the same linear system, with the same measure of cost.
 
 A new solver is an entry of ``SOLVERS``, or of the dict that a user gives to ``compare``: a name and
-PETSc's options. If it needs a package of PETSc, that is a name in ``PACKAGES``.
+PETSc's options. An entry of ``SOLVERS`` is also part of each comparison with the default solvers,
+which docs/comparing.md lists. If it needs a package of PETSc, that is a name in ``PACKAGES``. If it
+uses the torn matrix, as BDDC does, ``Solver.uses_torn_matrix`` and ``create_solver`` change, too.
 
 In the order of the data: solvers, run.
 """

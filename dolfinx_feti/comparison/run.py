@@ -41,7 +41,7 @@ from dolfinx_feti.text_tables import Cell, json_value, text_table
 
 __all__ = ["Comparison", "SolverResult", "compare"]
 
-#: Columns of the table; the last one is for notes.
+#: Heads of the columns of the table, in the order of ``_row``; the last column has notes.
 HEAD = (
     "solver",
     "iterations",
@@ -72,11 +72,12 @@ class SolverResult:
 
     Attributes:
         solver: Its name.
-        cost: What it took; None if PETSc raised an error.
+        cost: Its time, memory and iterations; None if PETSc raised an error.
         relative_residual: ‖f − K x‖/‖f‖ on the free dofs; nan without a solution.
         error_estimate: FETI's own estimate of the relative error of x; nan of other solvers.
         difference_to_direct: ‖x − x_d‖/‖x_d‖; nan without a direct solution that is a reference.
-        note: Why the solver failed or is less accurate than requested; or an empty string.
+        note: Why the solver failed, why its residual is too large, or how it differs from its
+            options; an empty string without such a remark.
     """
 
     solver: str
@@ -100,7 +101,7 @@ class Comparison:
         dofs: Size of the assembled system.
         subdomains: Their number over all processes.
         processes: Their number.
-        rtol: Factor by which the iterative solvers had to lower the residual.
+        rtol: Relative tolerance of the residual for the iterative solvers.
         results: One for each solver, in the order of the user.
         left_out: Name of each solver that was omitted, and the reason.
     """
@@ -202,12 +203,12 @@ class _LinearSystem:
 
 @dataclass(frozen=True, slots=True)
 class _Outcome:
-    """What one solver has done, before it is compared with the others.
+    """The result of one solver, before it is compared with the others.
 
     Attributes:
-        cost: What it took; None if PETSc raised an error.
+        cost: Its time, memory and iterations; None if PETSc raised an error.
         x: The solution; None without one.
-        note: Why it failed, or what is to be said of its solution.
+        note: Why it failed, or a remark on its solution; an empty string without one.
         proves_definite: Whether it is FETI and has proved that K is positive definite.
         error_estimate: FETI's estimate of the relative error of x.
     """
@@ -249,8 +250,10 @@ def compare(
             use; if not given, True if FETI is among the solvers and proves it.
 
     Returns:
-        The comparison: ``print`` it, or use its ``records``. It lists solvers that PETSc was built
-        without as omitted; a solver that fails, or stays above the tolerance, has a note.
+        The comparison: ``print`` it, or use its ``records``. Solvers whose package PETSc was built
+        without are listed as omitted. A solver that fails, or stays above the tolerance, has a
+        note. The solution of the solver with the name ``mumps``, whatever its options, is the
+        reference for the others if its residual is small.
 
     Raises:
         ValueError: A solver is unknown, processes have different solvers, or the right-hand side is
@@ -289,7 +292,7 @@ def _assemble(problem: LinearProblem | NonlinearProblem, owned: Lifetime) -> _Li
 
     Args:
         problem: The problem, which keeps A.
-        owned: Destroys all but A in the end.
+        owned: Owner of b, K and f, which destroys them.
 
     Raises:
         ValueError: The right-hand side is zero.
@@ -319,10 +322,10 @@ def _solve_by_feti(
     """Solve by those solvers that are FETI. Collective.
 
     Args:
-        problem: The problem, whose options the solvers' own ones replace.
-        solvers: All solvers.
+        problem: The problem. The options of a solver replace those of the problem.
+        solvers: All solvers; those that are not FETI are skipped.
         system: The linear system.
-        owned: Destroys the solutions in the end.
+        owned: Owner of the solutions, which destroys them.
 
     Returns:
         Outcomes by the names of solvers.
@@ -343,7 +346,7 @@ def _solve_by_others(
     Args:
         solvers: The solvers.
         system: The linear system.
-        owned: Destroys the solutions in the end.
+        owned: Owner of the solutions, which destroys them.
         is_definite: Whether K is positive definite; ignored if it is not symmetric.
 
     Returns:
@@ -412,9 +415,9 @@ def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec, owned: Lifetime) -> _O
     """Solve with one solver; a failure becomes a note. Collective.
 
     Args:
-        create: Creates the solver and sets it up.
+        create: Creates the solver; its set-up, too, is measured.
         b: Right-hand side.
-        owned: Destroys the solution in the end.
+        owned: Owner of the solution, which destroys it.
     """
     x = owned.own(b.duplicate())
     try:
@@ -429,6 +432,7 @@ def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec, owned: Lifetime) -> _O
     )
     feti = _feti_of(ksp)
     if feti is not None:
+        # a proof: no negative eigenvalue in K_ρ and D, nor in K_II where it was factored
         inertia = feti.inertia
         is_proved = inertia is not None and inertia.is_definite and not inertia.interior
         outcome = replace(outcome, proves_definite=is_proved)
@@ -468,7 +472,7 @@ def _solve_directly(K: PETSc.Mat, f: PETSc.Vec, owned: Lifetime) -> _Outcome:
     Args:
         K: Assembled matrix.
         f: Right-hand side.
-        owned: Destroys the solutions in the end.
+        owned: Owner of the solutions, which destroys them.
     """
 
     def solve(*, symmetric: bool) -> tuple[_Outcome, float]:

@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 #: Default solvers of a comparison, and their options without prefix. Cholesky becomes LU if the
-#: matrix is not symmetric. BDDC uses the torn matrix, the others use the assembled one.
+#: matrix is not symmetric. FETI and BDDC use the torn matrix, the others use the assembled one.
 SOLVERS: dict[str, Mapping[str, object]] = {
     "feti": {},
     "mumps": {
@@ -49,15 +49,16 @@ SOLVERS: dict[str, Mapping[str, object]] = {
 #: The solver of :data:`SOLVERS` whose solution is the reference for the others.
 DIRECT = "mumps"
 
-#: Packages that PETSc may be built without, by the names that options have for them.
+#: Packages that PETSc may be built without, by the names that options have for them. They are
+#: looked for in ``pc_type`` and ``pc_factor_mat_solver_type``, not in options of inner solvers.
 PACKAGES = ("mumps", "cholmod", "superlu_dist", "hypre", "ml")
 
 #: Most iterations of a Krylov method: a choice, some twenty times what FETI needs.
 MAX_IT = 2000
 
-#: Parts of the interface with at most this number of nodes are primal vertices in BDDC. PETSc's
-#: default is one dof; set-up may then fail, as a subdomain of a ragged partition has too few
-#: constraints.
+#: In BDDC, the nodes of a part of the interface with at most this number of nodes are primal
+#: vertices. With PETSc's default of one dof the set-up may fail: a subdomain of a ragged partition
+#: has too few constraints.
 VERTEX_NODES = 2
 
 
@@ -86,7 +87,7 @@ class Solver:
 
     @property
     def uses_torn_matrix(self) -> bool:
-        """Whether it uses the torn matrix, which is the case for BDDC."""
+        """Whether it is BDDC, which uses the torn matrix; options in PETSc's database count."""
         of_user = PETSc.Options(self.prefix)
         pc_type = of_user.getString("pc_type", str(self.options.get("pc_type", "")))
         return bool(pc_type == PETSc.PC.Type.BDDC)
@@ -114,7 +115,8 @@ def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
 
     Returns:
         K, (N, N), marked as symmetric if the matrices of all subdomains are, with the near kernel
-        and the null space of A; and f, (N,), without its part in that. The caller destroys them.
+        and the null space of A; and f, (N,), without its component in the null space. The caller
+        destroys them.
     """
     K = PETSc.Mat()
     f = b.copy()
@@ -166,7 +168,7 @@ def create_solver(
 
     Args:
         A: Assembled matrix; for BDDC the torn one, which is copied.
-        solver: Its name, which is the prefix of its options, too.
+        solver: Its name, which also gives the prefix of its options.
         options: Options of PETSc, without prefix; those of :data:`SOLVERS` if not given.
         rtol: Relative tolerance of a Krylov method, on the true residual.
         symmetric: Whether the matrix is symmetric; if not given, whether A is marked so.
@@ -189,7 +191,7 @@ def create_solver(
     ksp.setOperators(A)
     ksp.setType(PETSc.KSP.Type.CG if symmetric else PETSc.KSP.Type.GMRES)
     ksp.setTolerances(rtol=rtol, max_it=MAX_IT)
-    with inserted(chosen.prefix, defaults):  # until set-up, which reads options of levels, factors
+    with inserted(chosen.prefix, defaults):  # the set-up reads the options of levels and factors
         ksp.setFromOptions()
         if ksp.getType() not in (PETSc.KSP.Type.PREONLY, PETSc.KSP.Type.PYTHON):
             if ksp.getType() == PETSc.KSP.Type.GMRES:
@@ -224,7 +226,13 @@ def _adapted(options: Mapping[str, object], A: PETSc.Mat, *, symmetric: bool) ->
 
 
 def _with_unit_rows(A: PETSc.Mat, symmetric: bool, definite: bool) -> PETSc.Mat:
-    """Return a copy of a torn matrix with unit rows and columns at Dirichlet dofs."""
+    """Return a copy of a torn matrix with unit rows and columns at Dirichlet dofs. Collective.
+
+    Args:
+        A: Torn matrix.
+        symmetric: Whether it is symmetric.
+        definite: Whether the assembled matrix is known to be symmetric positive definite.
+    """
     dirichlet = A.query("dirichlet")
     near_kernel = A.getNearNullSpace()
     B = A.duplicate(copy=True)

@@ -3,11 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Contact with rigid tools, frictionless: a balloon, a stent, a clamp, a plate, the spine.
 
-A new shape is a function in ``tools``, like ``sphere``.
+A new shape is a function in ``tools``, like ``sphere``, and its name here and in docs/contact.md.
 
-- ``points`` and ``surface`` have values at the quadrature points of a surface.
-- ``evaluation`` has those of a contact, ``crossing`` detects a surface that passes through a tool.
-- ``contact`` has the energy, the updates of λ, and what a user reads.
+- ``tools`` has the signed distances.
+- ``points`` has the element, and ``surface`` the values, at the quadrature points of a surface.
+- ``evaluation`` has gap, pressure, normals and force of a contact.
+- ``crossing`` detects a surface that has passed through a tool.
+- ``contact`` has the energy, the updates of λ, and the results for the user.
 
 In the order of the data: tools, points, surface, evaluation, crossing, contact.
 """

@@ -8,10 +8,11 @@ With the signed distance g of the tool, a multiplier λ ≥ 0 and a penalty ε i
 .. math:: Π_c(u) = \int \frac{1}{2 ε} \left(⟨λ - ε\, g(X + u)⟩_+^2 - λ^2\right) \mathrm{d}A,
           \qquad λ ← ⟨λ - ε\, g⟩_+
 
-after each equilibrium; it converges to λ ≥ 0, g ≥ 0 and λ g = 0. Residual and tangent are UFL's
-derivatives of Π_c: a traction p = ⟨λ − ε g⟩₊ along ∇g and the symmetric
-:math:`ε\, ∇g ⊗ ∇g - p\, ∇^2 g` where p > 0. Source: P. Alart, A. Curnier, Comput. Methods Appl.
-Mech. Engrg. 92 (1991).
+after each equilibrium; it converges to λ ≥ 0, g ≥ 0 and λ g = 0. The residual is the derivative of
+Π_c, a traction p = ⟨λ − ε g⟩₊ along ∇g. The tangent is that of the residual where p > 0, the
+symmetric :math:`ε\, ∇g ⊗ ∇g - p\, ∇^2 g`, with two exceptions near p = 0 and at deep penetrations
+(``Contact.tangent``). UFL differentiates g; these forms are written out with its derivatives.
+Source: P. Alart, A. Curnier, Comput. Methods Appl. Mech. Engrg. 92 (1991).
 """
 
 from __future__ import annotations
@@ -55,9 +56,10 @@ QUANTILE = 0.9
 #: where the tolerance of penetrations is 1e-6.
 CLOSED_GAP = 1e-9
 
-#: Penetration over the size of a cell up to which the pressure contributes −p ∇²g to the tangent:
-#: ten times the tolerance of penetrations. Without a bound Newton's method starts with shifts if a
-#: tool moves by a tenth of a cell; at 1e-3 its last steps converge linearly.
+#: Penetration over the size of a cell up to which the pressure contributes −p ∇²g, the part due to
+#: the curvature of the tool, to the tangent: ten times the tolerance of penetrations. Without a
+#: bound Newton's method starts with shifts if a tool moves by a tenth of a cell; at 1e-3 its last
+#: steps converge linearly.
 MAX_BENDING_DEPTH = 1e-2
 
 #: Step of the second differences of g that measure its rounding, over the size of the smallest
@@ -65,13 +67,14 @@ MAX_BENDING_DEPTH = 1e-2
 #: rounding of a body of a hundred cells. At 1e-9 the step itself is rounded.
 ROUNDING_STEP = 1e-7
 
-#: A multiplier, in the unit of λ, with which no point is in contact.
+#: A multiplier, in the unit of λ, with which no point is in contact: λ − ε g is negative at any
+#: penetration. The energy Π_c is meaningless with it.
 RELEASED_MULTIPLIER = -1e100
 
 
 @dataclass(frozen=True, slots=True)
 class _Prepared:
-    """What a contact has since a problem has prepared it.
+    """The parts of a contact that :meth:`Contact.prepare` creates.
 
     Attributes:
         values: Values at the points of the surface.
@@ -88,6 +91,9 @@ class _Prepared:
 
 class Contact:
     """A surface of a body that a rigid tool must not enter.
+
+    A new contact has its forms only. Its values and results exist from :meth:`prepare` on, which
+    NonlinearProblem calls.
 
     Example::
 
@@ -247,7 +253,7 @@ class Contact:
         self._prepared = _Prepared(values, crossing, pressure, point_of_dof)
 
     def has_penalty(self) -> bool:
-        """Return whether ε has been set. Collective."""
+        """Return True if ε has been set. Collective."""
         return bool(self._comm.allreduce(bool(self.penalty.x.array.any()), op=MPI.LOR))
 
     def set_penalty(self, diagonal: Array) -> None:
@@ -266,7 +272,7 @@ class Contact:
 
     @contextmanager
     def without_tool(self) -> Iterator[None]:
-        """Remove the tool inside a with statement."""
+        """Context in which no point is in contact; assemble no energy in it. Not collective."""
         before = self.multiplier.x.array.copy()
         self.multiplier.x.array[:] = RELEASED_MULTIPLIER
         try:
@@ -278,7 +284,8 @@ class Contact:
         """Return the norm of the rounding errors of the contact's forces on nodes. Collective.
 
         g may be a small difference of large lengths such as a radius. Its rounding error is
-        measured by second differences over a step so short that curvature does not contribute.
+        measured by second differences over a step so short that curvature does not contribute. u
+        is moved during the call, and restored before it returns.
         """
         values = self._values
         u = self.u.x.array
@@ -404,7 +411,7 @@ class Contact:
 
     @property
     def _of_problem(self) -> _Prepared:
-        """What :meth:`prepare` has made.
+        """The parts that :meth:`prepare` has created.
 
         Raises:
             RuntimeError: No problem has the contact yet.

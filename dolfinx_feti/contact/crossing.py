@@ -20,17 +20,23 @@ from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["CrossingDetection"]
 
-#: States between two others at which the tool is evaluated. A tool thinner than 1/32 of the way can
-#: be missed; twice as many double the time of a step that turns ∇g.
+#: States between the stored state and the present one at which the tool is evaluated. A tool that
+#: is thinner than 1/32 of the distance can be missed. Twice as many states double the time of a
+#: check if ∇g has reversed somewhere.
 STATES_BETWEEN = 31
 
 
 @dataclass(frozen=True, slots=True)
 class _Position:
-    """A position of body and tool."""
+    """A position of body and tool.
 
-    u: Array  #: Displacement with ghosts
-    constants: list[Array]  #: Values of the Constants of the tool
+    Attributes:
+        u: Displacement with ghosts.
+        constants: Values of the Constants of the tool.
+    """
+
+    u: Array
+    constants: list[Array]
 
 
 class CrossingDetection:
@@ -62,8 +68,8 @@ class CrossingDetection:
         """Return True if a point has crossed the tool since the stored state. Collective.
 
         Args:
-            tolerance: Depth in the tool above which a line leads through it, over the size of a
-                cell.
+            tolerance: Depth above which the line of a point leads through the tool, over the size
+                of a cell.
         """
         comm = self._u.function_space.mesh.comm
         cosines = np.einsum("pi,pi->p", self._stored_normals, self._evaluation.normals())
@@ -74,7 +80,10 @@ class CrossingDetection:
         return bool(comm.allreduce(bool((has_turned & is_deep).any()), op=MPI.LOR))
 
     def _greatest_depth(self) -> Array:
-        """Return the greatest depth of each point in the tool between the states, (points,)."""
+        """Return the greatest depth of each point in the tool between the states, (points,).
+
+        Collective. Displacement and Constants are moved during the call, and restored.
+        """
         before = self._stored
         now = self._position()
         depth: Array = np.zeros(len(self._stored_normals))

@@ -55,7 +55,8 @@ class ContactEvaluation:
         self._penalty = surface.evaluator(ufl.as_ufl(penalty))
         V = u.function_space
         v = ufl.TestFunction(V)
-        self._direction = dolfinx.fem.Constant(V.mesh, np.zeros(len(u)))  # takes the place of v
+        # in place of v: with a unit vector, the derivative of g is a component of ∇g
+        self._direction = dolfinx.fem.Constant(V.mesh, np.zeros(len(u)))
         slope = ufl.replace(ufl.derivative(gap, u, v), {v: self._direction})
         self._slope = surface.evaluator(slope)
         self._force = surface.integrator(ufl.replace(-virtual_work, {v: self._direction}))
@@ -98,7 +99,7 @@ class ContactEvaluation:
 
     @cached_property
     def _area_stretch(self) -> Callable[[], Array]:
-        """Function that evaluates the stretch; compiled when a user asks for it."""
+        """Function that evaluates the stretch; compiled at its first use."""
         F = ufl.Identity(len(self._u)) + ufl.grad(self._u)
         N = ufl.FacetNormal(self._u.function_space.mesh)
         normal = ufl.cofac(F) * N

@@ -11,7 +11,8 @@ integral over facets,
 only these values occur: a basis function of facet f is one at one point, and zero at the others and
 on all other facets. The element has no values inside a cell. It is a coefficient or test function
 in facet integrals of its own degree, in dolfinx 0.9 to 0.11: FFCx tabulates it at the points of
-each facet, and the element recognises the facet by these points.
+each facet, and the element recognises the facet by these points. It derives from the private class
+``basix.ufl._QuadratureElement``, which a later version may change.
 """
 
 from __future__ import annotations
@@ -92,7 +93,7 @@ class FacetQuadratureElement(basix.ufl._QuadratureElement):  # type: ignore[misc
         )
 
     def __eq__(self, other: object) -> bool:
-        """Return whether two elements are equal."""
+        """Return True if two elements are equal."""
         return isinstance(other, FacetQuadratureElement) and self._repr == other._repr
 
     def __hash__(self) -> int:

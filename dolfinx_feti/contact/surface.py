@@ -63,7 +63,7 @@ MAX_FIT_ITERATIONS = 100
 
 
 class ContactSurface:
-    """The quadrature points of a measure.
+    """The quadrature points of a surface, with values and integrals there.
 
     Attributes:
         dofs: Dofs at the points in the space of values at the quadrature points of all facets, for
@@ -166,7 +166,7 @@ class ContactSurface:
         scalar.scatter_forward()
         k = scalar.array.reshape(-1, bs).mean(axis=1)  # of each node
         facets = self._facets()
-        m = dolfinx.fem.Function(V).x
+        m = dolfinx.fem.Function(V).x  # facets of the surface that share a node
         for f, nodes in enumerate(self._nodes_of_facets()):
             table = V.dofmap.list[facets[facets[:, 1] == f, 0]][:, nodes]
             m.array[:] += np.repeat(np.bincount(table.ravel(), minlength=len(k)), bs)
@@ -237,7 +237,7 @@ class ContactSurface:
 
         Args:
             values: Values at the points, (points,).
-            squared: Whether the entries of Φ are squared.
+            squared: Whether the entries of Φ are squared, for the diagonal of Φᵀ diag(values) Φ.
         """
         traces = self._traces.power(2) if squared else self._traces
         x = dolfinx.la.vector(self._V.dofmap.index_map, 1)
@@ -303,7 +303,11 @@ class ContactSurface:
         return scipy.sparse.csr_array((values.ravel(), (rows, nodes.ravel())), shape=shape)
 
     def _assemble(self, form: dolfinx.fem.Form) -> Array:
-        """Assemble a linear form of the point space; its facets are those of owned cells."""
+        """Assemble a linear form of the point space, (local dofs,).
+
+        Facets and dofs belong to cells, and dolfinx integrates over owned cells: each entry is
+        complete without communication.
+        """
         return np.asarray(dolfinx.fem.assemble_vector(form).array)
 
     # -- facets -----------------------------------------------------------------------------------

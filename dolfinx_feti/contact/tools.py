@@ -9,6 +9,10 @@ r"""Rigid tools: signed distances g(x) of a current position x from the surface 
 A tool is a function ``x ↦ g`` of a vector of UFL, one of these or the user's. Its numbers may be
 Constants: the tool then moves or grows with them, as in ``set_load`` of ``follow_load``. Lengths
 are in the unit of the mesh.
+
+The length of ∇g is not checked. Where g has a kink, as between the tools of a union, UFL has the
+derivative of one side. At the centre of a sphere and on the axis of a cylinder the derivative is
+0/0: no point of the surface may touch a tool there.
 """
 
 from __future__ import annotations

@@ -19,10 +19,10 @@ __all__ = ["Advice", "advise"]
 #: cost.
 MANY_ITERATIONS = 100
 
-#: Mean dofs of a subdomain below which the coarse problem costs too much.
+#: Mean dofs of a subdomain below which the coarse problem costs too much (docs/results/speed.md).
 FEW_DOFS = 500
 
-#: Mean dofs of a subdomain above which the factors cost too much.
+#: Mean dofs of a subdomain above which the factors cost too much (docs/results/speed.md).
 MANY_DOFS = 5000
 
 #: Jump of the stiffness between subdomains up to which equal weights are good enough. It is up to
@@ -99,6 +99,7 @@ def _advise_on_subdomains(figures: Figures, iterations: int) -> list[Advice]:
     elif has_several and mean < MANY_DOFS and has_many_iterations:
         text = "Take fewer subdomains."
         advice.append(Advice(text, "iterations", iterations, MANY_ITERATIONS))
+    # many iterations call for fewer subdomains, not for more
     if mean > MANY_DOFS and not has_many_iterations:
         advice.append(Advice("Take more subdomains.", size, mean, MANY_DOFS))
     if unevenness > UNEVEN:
@@ -112,6 +113,7 @@ def _advise_on_method(
 ) -> list[Advice]:
     """Return advice on scaling, formulation and coarse space."""
     lowest, highest = report.eigenvalues
+    # without a positive λ_min there is no condition number, and no advice on it
     condition = highest / lowest if lowest > 0.0 else 0.0
     is_dual = report.formulation == "dual"
     advice = []

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Check of det F between the points of the quadrature, and its warnings."""
+"""Check of det F between quadrature points in accepted states, with warnings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__: list[str] = []  # users call NonlinearProblem.diagnose
 
 
 class Warned(enum.IntEnum):
-    """The worst state of the cells that a problem has been warned of."""
+    """The worst state of the cells of which the user has been warned."""
 
     NOTHING = 0
     DISTORTED = 1
@@ -114,8 +114,14 @@ class CellCheck:
         )
 
     def _compiled(self) -> CellSamples | None:
-        """Compile the ratio at further points; None if it has no values there. Collective."""
+        """Compile the ratio at further points. Collective.
+
+        Returns:
+            The samples; None if the ratio has values at quadrature points only. Later calls of
+            :meth:`measure` then do not try again.
+        """
         V = self._u.function_space
+        # that of the energy may be det F_e, with data at quadrature points; else that of the body
         for expression in (self._ratio.of_energy, self._ratio.of_body):
             try:
                 return CellSamples(

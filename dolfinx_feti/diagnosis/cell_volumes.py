@@ -33,7 +33,8 @@ __all__ = ["CellVolumes"]
 
 #: Smallest det F over its mean in the cell, below which the cell is distorted. Away from clamps,
 #: cells of Q2–P1disc stay above 0.9, those of P2–P0 above 0.6 (docs/results/distorted_cells.md): a
-#: larger ratio would warn of these, half of it only of cells that are about to turn inside out.
+#: bound above 0.6 would warn of these. A bound of 0.25 would warn only of cells that are about to
+#: turn inside out.
 LEAST_RATIO = 0.5
 
 #: Largest det F over its mean in the cell, above which the cell is distorted; the same cells stay
@@ -80,8 +81,8 @@ class CellVolumes:
         greatest: Its largest value.
         cells: Number of cells.
         inverted: Number of inverted cells.
-        distorted: Number of distorted cells; of inverted ones if the ``volume_ratio`` is not a
-            determinant, so that only its sign has a meaning.
+        distorted: Number of distorted cells. If the ``volume_ratio`` is not a determinant, only its
+            sign has a meaning, and this is the number of inverted cells.
         clamped: Number of bad cells with a node whose whole displacement is prescribed. Bad cells
             are the inverted ones, or the distorted ones if none is inverted.
         worst: Midpoint of the cell with the smallest value, in the mesh's unit of length.
@@ -146,8 +147,9 @@ def summarise_volumes(
     Args:
         values: Those of the owned cells.
         mesh: The mesh.
-        name: What they are.
-        has_size: Whether their size has a meaning, or only their sign.
+        name: The quantity, ``det F`` or ``volume_ratio``.
+        has_size: Whether the values are changes of volume. If not, only their sign has a meaning,
+            and only inverted cells count as distorted.
         clamped: Whether an owned cell has a node whose whole displacement is prescribed,
             (n_cells,).
     """
@@ -226,7 +228,7 @@ def _midpoints(mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[Any]) -> Array:
 
 
 def _point(x: Array, mesh: dolfinx.mesh.Mesh) -> Point:
-    """Return the coordinates of a point that the mesh has."""
+    """Return a point, (3,), as a tuple with as many coordinates as the mesh has."""
     return tuple(map(float, x[: mesh.geometry.dim]))
 
 

@@ -100,12 +100,13 @@ def diagnose(
 ) -> Diagnosis:
     """Assemble a system, solve it with a new solver, and measure both. Collective.
 
-    A random right-hand side replaces one that is zero. PETSc's logging is begun, if necessary.
+    If the right-hand side is zero, a random one takes its place. PETSc's logging is started if it
+    is off.
 
     Args:
         linear_system: Assembles the torn matrix A and the right-hand side b.
-        create_solver: Creates the solver and sets it up.
-        state: The x whose residual b − A x is shared out among the subdomains: (owned,), or one
+        create_solver: Creates the solver; its set-up is measured.
+        state: The x whose residual b − A x is distributed over the subdomains: (owned,), or one
             number for all dofs.
         prefix: Prefix of the solver's options, for the advice.
         earlier_advice: Advice from earlier solves and from the state.

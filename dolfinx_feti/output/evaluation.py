@@ -36,17 +36,18 @@ __all__ = ["CellEvaluator", "cell_values", "evaluate", "mesh_of"]
 #: is 1e-16 of it. A larger share adds a few candidate cells, and changes no result.
 PADDING = 1e-10
 
-#: Reference coordinate by which a point may lie outside of a cell, and of the last step of Newton's
-#: method. Points that a user computes have rounding errors of 1e-15; from 1e-7 on, neighbouring
-#: cells contribute to the mean.
+#: Distance in reference coordinates by which a point may be outside of a cell that contains it.
+#: Newton's method for ξ has converged if its last step is not longer. Points that a user computes
+#: have rounding errors of 1e-15; at 1e-7, neighbouring cells contribute to the mean.
 COORDINATE_ATOL = 1e-10
 
 #: Steps of Newton's method for reference coordinates, at most. Affine cells take one, curved ones
 #: and hexahedra four to six. Points that have not converged are outside of a distorted cell.
 MAX_STEPS = 25
 
-#: Points in one compiled expression, which is evaluated at all of them in each of their cells: 64²
-#: evaluations take less time than the compilation of a second expression.
+#: Points in one compiled expression. It is evaluated at all of them in each of their cells, and
+#: only the value at the cell's own point is used: 64² evaluations take less time than the
+#: compilation of a second expression.
 POINTS_PER_EXPRESSION = 64
 
 
@@ -71,7 +72,8 @@ def evaluate(expression: Expr, points: npt.ArrayLike) -> Array:
             expression has no mesh, or no values inside cells.
 
     Note:
-        Collective.
+        Collective. Each process compiles an expression for every 64 of its points, as points are
+        constants of the generated code: 1000 points on one process take 16 compilations.
     """
     mesh = mesh_of(expression)
     X, is_single = on_all(lambda: _checked_points(points, mesh.geometry.dim), mesh.comm)
@@ -177,7 +179,7 @@ def _reference_coordinates(
     ξ = np.tile(vertices.mean(axis=0), (len(X), 1))
     step = np.full_like(ξ, np.inf)
     for _ in range(MAX_STEPS):
-        φ, *gradients = np.asarray(scalar.tabulate(1, ξ))  # (n, nodes), and so for each direction
+        φ, *gradients = np.asarray(scalar.tabulate(1, ξ))  # φ and ∂φ/∂ξ_j, (n, nodes)
         x = np.einsum("na,nad->nd", φ, nodes)
         jacobian = np.einsum("jna,nad->ndj", np.array(gradients), nodes)  # ∂x/∂ξ
         step = np.einsum("njd,nd->nj", np.linalg.pinv(jacobian), X - x)
@@ -186,6 +188,7 @@ def _reference_coordinates(
             break
     normals = np.asarray(basix.cell.facet_outward_normals(cell_type), dtype=np.float64)
     corners = np.array([vertices[facet[0]] for facet in basix.topology(cell_type)[-2]])
+    # heights over the facets, positive outside of the cell
     heights = np.einsum("nfj,fj->nf", ξ[:, None, :] - corners, normals)
     is_inside = (heights <= COORDINATE_ATOL).all(axis=1) & (np.abs(step) <= COORDINATE_ATOL).all(
         axis=1
@@ -200,6 +203,7 @@ def _values(expression: Expr, mesh: dolfinx.mesh.Mesh, located: _Located) -> Arr
     for first in range(0, len(values), POINTS_PER_EXPRESSION):
         chunk = slice(first, first + POINTS_PER_EXPRESSION)
         ξ = located.ξ[chunk]
+        # not collective: the number of chunks differs between processes
         compiled = Compiler(MPI.COMM_SELF).expression(expression, ξ)
         at_all_points = compiled.eval(mesh, located.cell[chunk].astype(np.int32))
         table = np.asarray(at_all_points).reshape(len(ξ), len(ξ), size)  # (cells, points, size)
@@ -236,9 +240,10 @@ class CellEvaluator:
 
 
 def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> Array:
-    """Return a scalar or vector at the centroids of the owned cells, (n_cells, …). Collective.
+    """Return an expression at the centroids of the owned cells, (n_cells, …). Collective.
 
-    For data at quadrature points it is their mean.
+    Data at quadrature points have no value at a centroid: their weighted mean over the cell is
+    returned.
     """
     rule = quadrature_rule(expression)
     if rule is None:

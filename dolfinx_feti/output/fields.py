@@ -79,13 +79,14 @@ class FieldWriter:
             functions: Functions to write, under their own names, of any element.
             expressions: UFL expressions to write, by name; they are evaluated cell by cell.
             kind: ``vtx`` or ``xdmf``; by default VTX if dolfinx has ADIOS2, else XDMF.
-            quadrature: Data at quadrature points: ``project`` to linear functions in each cell
-                (VTX) or means (XDMF), or write them at the ``points``.
+            quadrature: How data at quadrature points are written: ``project`` projects them, in
+                each cell, to functions of the degree of the geometry (VTX) or to a mean (XDMF);
+                ``points`` writes them at their points.
 
         Raises:
-            ValueError: ``kind`` or ``quadrature`` is unknown or cannot show the cells, there is no
-                function, two fields have one name, or a field cannot be written: it is mixed, lives
-                on another mesh or on facets, or has several quadrature rules.
+            ValueError: ``kind`` or ``quadrature`` is unknown, the format lacks the cells, there is
+                no function, two fields have one name, or a field cannot be written: it is mixed,
+                lives on another mesh or on facets, or has several quadrature rules.
             OSError: The file cannot be created.
         """
         require_sequence(dolfinx.fem.Function, functions=functions)
@@ -214,7 +215,7 @@ class FieldWriter:
 
 
 def _checked_kind(kind: str | None, mesh: dolfinx.mesh.Mesh) -> str:
-    """Return the format of the file, ``vtx`` or ``xdmf``.
+    """Return the format of the file, ``vtx`` or ``xdmf``, after checks.
 
     Raises:
         ValueError: The format is unknown or does not have the mesh's cells.
@@ -252,6 +253,9 @@ def _is_continuous(f: dolfinx.fem.Function) -> bool:
 def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:
     """Return the path with its suffix, after a check that files can be written there. Collective.
 
+    The check creates missing files, or the folder of VTX. They stay empty if all fields are written
+    at points.
+
     Raises:
         OSError: A file cannot be written, on all processes; dolfinx would raise on one.
     """
@@ -265,5 +269,5 @@ def _writable_place(path: Path, kind: str, comm: MPI.Comm) -> Path:
 
 
 def _append_nothing(path: Path) -> None:
-    """Open a file for writing, without a change; an OSError if it cannot be opened."""
+    """Open a file for writing: a missing file is created empty, an existing one stays as it is."""
     path.open("ab").close()

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Fields in the forms that files have: functions at nodes or in cells, and values at points.
+r"""Copies of fields that a file can hold: functions at nodes or in cells, and values at points.
 
 In each cell the projection of values :math:`f_q` at points :math:`ξ_q` with weights :math:`w_q` to
 a basis :math:`φ_i` minimises :math:`\sum_q w_q (\sum_i c_i φ_i(ξ_q) - f_q)^2`.
@@ -38,7 +38,7 @@ def projection_matrix(φ: Array, weights: Array) -> Array:
 
 
 class FieldCopy:
-    """A function of a file that follows a field of the user.
+    """A copy of a user's field, in a space that the file can hold.
 
     Attributes:
         function: The function, whose values are those of the last update.
@@ -74,7 +74,7 @@ class FieldCopy:
             self._evaluator = CellEvaluator(field, space.mesh, interpolation_points(space))
 
     def update(self) -> None:
-        """Give the function the present values of the field. Collective."""
+        """Set the function to the present values of the field. Collective."""
         if self._source is not None:
             self.function.interpolate(self._source)
         if self._evaluator is not None:
@@ -91,7 +91,7 @@ class QuadratureFields:
     """Fields at the same quadrature points of all owned cells."""
 
     def __init__(self, mesh: dolfinx.mesh.Mesh, points: Array) -> None:
-        """Begin without any field. Collective.
+        """Create the collection, without any field. Collective.
 
         Args:
             mesh: The mesh.
@@ -111,7 +111,7 @@ class QuadratureFields:
             points: Its quadrature points in the reference cell, (points, tdim).
 
         Raises:
-            ValueError: The points are others than those of the fields before it.
+            ValueError: The points differ from those of the fields that were added before.
         """
         if not same_points(self._points, points):
             raise ValueError("its quadrature points are others than those of the fields before it.")
@@ -136,7 +136,7 @@ class VertexFields:
     """Functions on a mesh of vertices, at its owned vertices."""
 
     def __init__(self, mesh: dolfinx.mesh.Mesh) -> None:
-        """Begin without any function."""
+        """Create the collection, without any function."""
         self._mesh = mesh
         self._functions: dict[str, dolfinx.fem.Function] = {}
 
@@ -170,5 +170,5 @@ class VertexFields:
 
 
 def _is_mapped_by_identity(function: dolfinx.fem.Function) -> bool:
-    """Return True if the values of a function are those of its reference cells."""
+    """Return True if the element maps values from the reference cell unchanged."""
     return bool(function.function_space.ufl_element().pullback == ufl.identity_pullback)

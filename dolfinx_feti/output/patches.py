@@ -36,16 +36,21 @@ from dolfinx_feti.runtime.compat import geometry_dofmap, interpolation_points
 
 __all__ = ["Patches", "create_patches", "moments", "recover"]
 
-#: Number of cells whose values at the quadrature points are in memory at once.
+#: Number of cells whose values at the quadrature points are in memory at once: a memory bound, some
+#: 3 MiB for a stress at 11 points in each cell.
 CELLS_AT_ONCE = 4096
 
-#: Variance of a patch, over the largest one, below which the patch is flat in this direction.
+#: Variance of a patch in a principal direction, over the largest one, below which the patch is
+#: flat: its thickness is less than 3e-5 of its width. The fit has no slope in this direction.
 FLAT_PATCH_RTOL = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Patches:
-    """The patches of a mesh. A vertex has one for each layer, n_v together; n_c cells are owned.
+    """The patches of a mesh: a vertex has one for each layer.
+
+    n_v is the number of patches of this process, those of ghost vertices included, and n_c the
+    number of owned cells.
 
     Attributes:
         mesh: The mesh.
@@ -53,8 +58,8 @@ class Patches:
         patches_of_cells: Patches of the d + 1 vertices of each cell in its layer, (n_c, d + 1).
         incidence: A, 1 for each cell at the vertex of a patch, (n_v, n_c).
         points: Quadrature points of the reference cell, (n_q, d).
-        to_moments: From values f at these points to the means of f and of f (X − X̄),
-            (1 + d, n_q).
+        to_moments: Maps values f at these points to the means of f and of f (ξ − ξ̄), with the
+            reference coordinates ξ, (1 + d, n_q).
     """
 
     mesh: dolfinx.mesh.Mesh
@@ -81,7 +86,10 @@ class Patches:
 def create_patches(
     mesh: dolfinx.mesh.Mesh, layers: dolfinx.mesh.MeshTags | None = None, *, degree: int = 4
 ) -> Patches:
-    """Find the patches of a mesh; fields are recovered where it is then, if it moves. Collective.
+    """Create the patches of a mesh. Collective.
+
+    They depend on the topology of the mesh only. If it moves, fields are recovered at its current
+    position.
 
     Args:
         mesh: Triangles in the plane or tetrahedra, with straight edges.
@@ -120,14 +128,14 @@ def create_patches(
 
 
 def moments(expression: Expr, patches: Patches) -> Array:
-    """Return the means of f, and of f (X − X̄) with the reference coordinates X. Collective.
+    """Return the means of f, and of f (ξ − ξ̄) with the reference coordinates ξ. Collective.
 
     Args:
         expression: f, of any shape.
         patches: Patches of its mesh.
 
     Returns:
-        The means in each cell, (n_c, 1 + d, components): of f, [:, :1], and of f (X − X̄), [:, 1:].
+        The means in each cell, (n_c, 1 + d, components): of f, [:, :1], and of f (ξ − ξ̄), [:, 1:].
 
     Raises:
         ValueError: The expression lives on another mesh.
@@ -168,7 +176,7 @@ class _Geometry:
     """Positions of cells and patches.
 
     Attributes:
-        edges: Jacobian dx/dX of each cell, (n_c, d, d).
+        edges: Jacobian dx/dξ of each cell, (n_c, d, d).
         volumes: Volumes of the cells, (n_c, 1).
         centroids: Centroids x of the cells, (n_c, d).
         patch_volumes: Weights of the patches, positive, (n_v, 1).
@@ -190,8 +198,9 @@ def recover(patches: Patches, data: Array, *, by_means: bool, sweeps: int) -> Ar
     Args:
         patches: The patches.
         data: Moments of the field in each cell, from :func:`moments`, (n_c, 1 + d, components).
-        by_means: Whether the means over the cells are fitted, not the values inside them.
-        sweeps: Number of fits, each to the remainder of those before.
+        by_means: Whether the means over the cells are fitted, each at its centroid, and not the
+            values inside them.
+        sweeps: Number of fits. Each one fits the remainder of those before it.
 
     Returns:
         Values at the nodes of the discontinuous quadratic element, (n_c, nodes, components).
@@ -225,10 +234,10 @@ def _geometry(patches: Patches, corners: Array, *, by_means: bool) -> _Geometry:
     Args:
         patches: The patches.
         corners: Vertices of the cells, (n_c, d + 1, d).
-        by_means: Whether a cell counts with its centroid alone.
+        by_means: Whether each cell counts as one point, its centroid.
     """
     n_cells, _, dim = corners.shape
-    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)  # dx/dX
+    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)  # dx/dξ
     volumes = np.abs(np.linalg.det(edges))[:, None] / math.factorial(dim)
     x = corners.mean(axis=1)
     second_moments = x[:, :, None] * x[:, None]
@@ -273,7 +282,11 @@ def _fit(
 def _layer_of_cells(
     mesh: dolfinx.mesh.Mesh, layers: dolfinx.mesh.MeshTags | None
 ) -> tuple[Numbers, int]:
-    """Return the layer of each owned cell, from 0, and the number of layers."""
+    """Return the layer of each owned cell, from 0, (n_c,), and the number of layers. Collective.
+
+    Raises:
+        ValueError: The tags belong to another mesh or not to cells, or a cell has none.
+    """
     n_cells = mesh.topology.index_map(mesh.topology.dim).size_local
     layer = np.zeros(n_cells, dtype=np.int64)
     if layers is None:

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Bodies that are turned with the mouse, each in an HTML file that needs no network.
+"""Scenes: a body in an HTML file without links to the network, turned with the mouse.
 
 A scene shows a panel of :mod:`~dolfinx_feti.output.pictures`::
 
@@ -9,8 +9,8 @@ A scene shows a panel of :mod:`~dolfinx_feti.output.pictures`::
 
     scenes.write_scene("wall.html", pictures.field(stress, "stress [kPa]", displacement=u))
 
-Any browser with WebGL 2 opens the file. At the end of a cell of a notebook the scene is shown
-there. The template is ``scene.html``.
+Any browser with WebGL 2 opens the file. A notebook shows the scene if it is the last value of a
+cell. The template is ``scene.html``.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ __all__ = ["Scene", "write_scene"]
 #: Height of a scene in a notebook, in pixels: all of it is visible on a small screen.
 HEIGHT = 480
 
-#: Colours of the bar, from left to right: more cannot be told apart.
+#: Number of colours in the bar: more cannot be told apart.
 BAR_COLOURS = 16
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A scene in a file, which notebooks show.
+    """A scene in a file. Notebooks show it.
 
     Attributes:
         path: The file.
@@ -106,7 +106,7 @@ def write_scene(
 def _scene_data(
     panel: Panel, viewer: Sequence[float] | None, scale: ColourScale
 ) -> dict[str, object]:
-    """Return all that the template needs."""
+    """Return the data that the template reads, on the first process."""
     surface = panel.surface_here()
     view = view_of([surface], viewer)
     right = np.cross(view.up, view.viewer)
@@ -131,12 +131,12 @@ def _scene_data(
 
 
 def _body(mesh: Any, middle: Array, unit: float) -> dict[str, str]:
-    """Return a mesh in the arrays of the template.
+    """Return the arrays of a mesh, encoded for the template.
 
     Args:
         mesh: Triangles, as ``Panel.coloured_meshes`` returns them.
         middle: Middle of the window, (3,).
-        unit: Length that is 1 in the arrays.
+        unit: Unit of length of the arrays.
     """
     points = (np.asarray(mesh.points, dtype=np.float64) - middle) / unit
     normals = np.zeros_like(points)
@@ -151,5 +151,5 @@ def _body(mesh: Any, middle: Array, unit: float) -> dict[str, str]:
 
 
 def _encoded(values: Any) -> str:
-    """Return the bytes of an array as text."""
+    """Return the bytes of an array as base64 text."""
     return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")

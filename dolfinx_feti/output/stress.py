@@ -3,10 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Recovered stresses, more accurate than those inside the cells (docs/stresses.md).
 
-*By patches*, for elements with a pressure P_0: fits to the values inside the cells recover the
-traction across the wall, fits to their means the stress along the wall. With the normal n,
-:math:`σ^* = σ^{in} + T (σ^{means} - σ^{in}) T`, :math:`T = I - n ⊗ n`. *By balance*, for elements
-of second order: with the projection Π to linear functions in each cell,
+*By patches*, for elements with a pressure P_0: fits to the values inside the cells, σ^in, recover
+the traction across the wall; fits to their means, σ^means, recover the stress along the wall. With
+the normal n, :math:`σ^* = σ^{in} + T (σ^{means} - σ^{in}) T`, :math:`T = I - n ⊗ n`.
+
+*By balance*, for elements of second order: with the projection Π to linear functions in each cell,
 σ* = σ + (Π(n·σ n) − n·σ n) I.
 """
 
@@ -132,7 +133,7 @@ def balanced_stress(
         degree: Degree of the quadrature inside the cells; twice the degree of u if not given.
 
     Returns:
-        The expression σ*. Its Π(n·σ n) is computed now: for another state, call this again.
+        The expression σ*. Π(n·σ n) is computed in this call: for another state, call it again.
 
     Raises:
         ValueError: The stress is not a tensor, or the normal is not a vector.
@@ -176,7 +177,7 @@ def _projected_to_linear(
     points, w = (np.asarray(part, dtype=np.float64) for part in rule)
     integrands = ufl.as_vector([abs(ufl.JacobianDeterminant(mesh)), traction])
     values = CellEvaluator(integrands, mesh, points).values()
-    scale, t = np.moveaxis(values, 2, 0)  # |det dx/dX| and the traction, (cells, points) each
+    scale, t = np.moveaxis(values, 2, 0)  # |det dx/dξ| and the traction, (cells, points) each
     if not mesh.comm.allreduce(bool(np.isfinite(t).all()), op=MPI.LAND):
         raise ArithmeticError(
             "The traction is NaN or infinite somewhere: give an admissible state and a normal that "

@@ -100,8 +100,8 @@ def gather_surface(
         mesh: The body: triangles, quadrilaterals, tetrahedra or hexahedra.
         values: A scalar or vector on it; None for zeros.
         displacement: Displacement of the points; None for zero.
-        part: Number of the part of each owned cell, (n_cells,), whose cells are on one process.
-            Each part has its own surface.
+        part: Number of the part of each owned cell, (n_cells,). All cells of a part are on one
+            process, and each part has its own surface. All cells are one part if None.
         mask: Owned cells of the body; all if None.
         is_continuous: Whether faces that meet share their points, with the mean of their values.
 
@@ -148,6 +148,7 @@ def _triangles(
         moved = position if displacement is None else position + displacement
         inside = _evaluate(moved, mesh, cells, nodes).mean(axis=1)  # a point in each cell
         is_turned = _is_turned(x, inside[:, None, :])
+        # the reversed corners of a triangle have the opposite normal
         X = np.where(is_turned[:, :, None, None], X[:, :, ::-1], X)
         x = np.where(is_turned[:, :, None, None], x[:, :, ::-1], x)
         field = np.where(is_turned[:, :, None, None], field[:, :, ::-1], field)
@@ -184,8 +185,8 @@ def _boundary(
 ) -> tuple[Numbers, Numbers]:
     """Return cell and local face of the boundary of the body, or of each part, (n,) each.
 
-    A face that bounds a cell of the body on one side alone is on the boundary. In two dimensions
-    the face of a cell is the cell itself.
+    A face is on the boundary if it has a cell of the body, or of the part, on one side only. In two
+    dimensions the face of a cell is the cell itself.
     """
     topology = mesh.topology
     tdim = topology.dim
@@ -207,6 +208,7 @@ def _boundary(
         cells_of_facet.scatter_forward()
         is_boundary = cells_of_facet.array[facets] < 1.5  # one cell, not two
     else:
+        # without communication: all cells of a part are on this process
         of_part = np.column_stack([np.repeat(part[cells], n_facets), facets.ravel()])
         _, inverse, counts = np.unique(of_part, axis=0, return_inverse=True, return_counts=True)
         is_boundary = counts[inverse.ravel()].reshape(facets.shape) == 1
@@ -274,7 +276,7 @@ def _is_turned(x: Array, inside: Array) -> Mask:
 def _with_shared_points(
     triangles: _Triangles, group: Numbers, tolerance: float, *, is_plane: bool
 ) -> BodySurface:
-    """Return the surface whose triangles share their points inside of each group.
+    """Merge the corners of triangles that coincide, within each group of triangles.
 
     Args:
         triangles: The triangles.

@@ -5,8 +5,8 @@
 
 At random states F, with rotations R: Ψ(R F) = Ψ(F), P(R F) = R P(F), P Fᵀ = F Pᵀ, A_iJkL = A_kLiJ,
 derivatives against central differences, and P(I) = 0 (docs/workshop.md). All deviations are
-relative to the largest entry of A at the same state; those of stresses are thereby errors of
-strain.
+relative to the largest entry of A at the same state, so a deviation of a stress is the strain that
+would cause it.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ NEARBY_STRAIN = 1e-10
 #: Number of random states.
 N_STATES = 32
 
-#: Seed of the random states: every report has the same.
+#: Seed of the random states: all reports use the same states.
 SEED = 1729
 
 
@@ -61,8 +61,8 @@ class Check:
 
     name: str  #: The property
     outcome: str  #: ``pass``, ``warn`` (a property that good models may lack) or ``fail``
-    value: float | None  #: A relative deviation, a number of states, a modulus [kPa], or nothing
-    bound: float | None  #: Most of a deviation; None for a modulus, which has to be positive
+    value: float | None  #: By name: a relative deviation, a number of states, or a modulus [kPa]
+    bound: float | None  #: Largest value that passes; None for a modulus, which must be positive
     note: str = ""  #: The state, the meaning, or the remedy
 
 
@@ -162,7 +162,7 @@ def _check_derivatives(law: Law, states: States) -> list[Check]:
 
 def _check_kink(rest: States, nearby: States) -> Check:
     """Compare the tangents of states next to the reference with that at rest."""
-    # without κ, which may be far larger than the moduli of shear
+    # relative to the moduli of shear: κ may be far larger, and would hide a kink
     shear = _scale(np.einsum("nijij->nij", rest.A) * (1 - np.eye(3)))
     return compare_with_bound(
         "tangent continuous at rest",
@@ -208,7 +208,8 @@ def compare_with_bound(
         bound: Largest deviation that passes.
         F: The states, (n, 3, 3), to show the worst one.
         note: Explanation of a failure.
-        warn: Explanation of a warning; if given, deviations above the bound are a warning.
+        warn: Explanation of a warning. If it is given, a deviation above the bound is a warning,
+            and no failure.
     """
     worst = int(np.where(np.isnan(deviations), np.inf, deviations).argmax())
     value = float(deviations[worst])
@@ -266,11 +267,11 @@ def _rotations(rng: np.random.Generator, n: int) -> Array:
 
 
 def _largest(values: Array) -> Array:
-    """Return the largest entry of each state, (n,)."""
+    """Return the largest absolute value of the entries of each state, (n,)."""
     return np.abs(values).reshape(len(values), -1).max(axis=1)
 
 
 def _scale(A: Array) -> Array:
-    """Return the largest entry of each state, (n,), or 1 where all are zero."""
+    """Return the largest absolute entry of each tangent, (n,), or 1 where all are zero."""
     largest = _largest(A)
     return np.where(largest > 0, largest, 1.0)

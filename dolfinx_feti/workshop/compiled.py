@@ -115,9 +115,10 @@ class CompiledEnergy:
         return States(F, psi, P, A)
 
     def _batch(self, F: Array) -> list[Array]:
-        """Return Ψ, P and A at up to BATCH states; states that are not finite have NaN.
+        """Return Ψ, P and A at up to BATCH states, NaN where F is not finite.
 
-        These are replaced by I, as the generated code would spread their NaN to all states.
+        Such an F is replaced by I for the evaluation: the generated code would spread its NaN to
+        all states.
         """
         states = np.tile(np.eye(3), (BATCH, 1, 1))
         lost = ~np.isfinite(F).all(axis=(1, 2))

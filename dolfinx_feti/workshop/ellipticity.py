@@ -46,7 +46,7 @@ class Ellipticity:
 
     path: MaterialTest  #: The path
     least: Array  #: Smallest eigenvalues [kPa], (n,); NaN for states without equilibrium
-    rest: float  #: The value nearest to the reference state
+    rest: float  #: Value of the path at the state nearest to the reference
     lost: tuple[float, ...]  #: Values at which ellipticity is first lost below and above rest
 
 
@@ -61,13 +61,14 @@ def scan_ellipticity(
         values: Stretches or amounts of shear in ascending order, on both sides of rest, (n,).
 
     Raises:
-        ValueError: The values are not in ascending order, or are none of the path's.
+        ValueError: The values are not in ascending order, or ``make_path`` does not accept them.
     """
     path = make_path(values)
     if (np.diff(path.values) <= 0).any():
         raise ValueError(f"values = {values!r}: give them in ascending order.")
     zero = ZERO_EIGENVALUE * stiffness_scale(material)
 
+    # positive where the energy is strongly elliptic
     def margins(part: MaterialTest) -> Array:
         return _along(material, part) - zero
 
@@ -163,7 +164,7 @@ def _tangents(n: Array) -> Array:
 def _first_loss(
     margins: Callable[[list[float]], Array], values: Array, margins_at_values: Array
 ) -> float | None:
-    """Return the value at which the margin first vanishes.
+    """Return the value of a path at which the margin of ellipticity first vanishes.
 
     Args:
         margins: The margins at any values.

@@ -8,8 +8,8 @@ With free directions D_k in the space of F, and the pressure p of Ψ + p (J − 
     D_k : (P(F) + p cof F) = 0,   det F − 1 − p/κ = 0,   K_kl = D_k : (A + p D cof F) : D_l,
 
 and (D cof F)_iJkL = ε_ikm ε_JLN F_mN. An incompressible material has 1/κ = 0, a complete energy has
-no p. Newton's method, with steps that decrease the residual, starts from the guess; if it fails,
-from rest in 8 equal steps of F, then in 64.
+no p. The steps of Newton's method are shortened until they decrease the residual. It starts from
+the guess. States in which it fails are approached from rest, in 8 equal steps of F, then in 64.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class _Balance:
 
         Args:
             F: Deformation gradients, (n, 3, 3).
-            p: Pressures [kPa], (n,); NaN for the one with the smallest residual.
+            p: Pressures [kPa], (n,). NaN stands for the pressure with the smallest residual r.
         """
         states = evaluate(self.energy, F)
         r = _entries(states.P / self.scale, self.free)
@@ -94,6 +94,7 @@ class _Balance:
         else:
             cof = cofactor(F)
             volume = _entries(cof, self.free)  # D_k : cof F
+            # p_best minimises ‖r + p/scale volume‖; the bound prevents a division by zero
             p_best = -self.scale * (r * volume).sum(axis=1)
             p_best /= np.maximum((volume**2).sum(axis=1), MIN_VOLUME_RATIO)
             p = np.where(np.isnan(p), p_best, p)
@@ -195,7 +196,7 @@ def _approach(balance: _Balance, F: Array, steps: int) -> tuple[Array, Array]:
 
 
 def _newton(balance: _Balance, F: Array, p: Array, is_wanted: Mask) -> tuple[_Trial, Mask]:
-    """Solve for several states at once by Newton's method.
+    """Solve for several states at once by Newton's method with step halving.
 
     Args:
         balance: The equations.
@@ -237,7 +238,7 @@ def _newton(balance: _Balance, F: Array, p: Array, is_wanted: Mask) -> tuple[_Tr
                 break
             alpha = np.where(is_accepted, alpha, alpha / 2)
         state = trial
-        is_active = is_active & is_accepted
+        is_active = is_active & is_accepted  # all others have no step that decreases ‖r‖
     return state, has_converged & np.isfinite(state.norm)
 
 

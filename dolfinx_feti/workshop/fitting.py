@@ -3,9 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Parameters of an energy from material tests, by least squares (docs/fitting.md).
 
-The parameters θ minimise Σ w² (s(θ) − ŝ)² over measured stresses ŝ. With the Jacobian R of the n
-residuals and their squares q the covariance is s² (Rᵀ R)⁻¹, s² = q/(n − m), and intervals are those
-of Student's t with n − m degrees of freedom (Seber, Wild, Nonlinear Regression, 1989, ch. 5).
+The m parameters θ minimise q = Σ w² (s(θ) − ŝ)² over n measured stresses ŝ. With the Jacobian R of
+the residuals at the minimum, the covariance of θ is q/(n − m) (Rᵀ R)⁻¹. Intervals are those of
+Student's t with n − m degrees of freedom (Seber, Wild, Nonlinear Regression, 1989, ch. 5). A
+parameter on a bound counts as given.
 """
 
 from __future__ import annotations
@@ -41,10 +42,11 @@ SINGULAR_RTOL = 1e-7
 #: Component of such a combination above which a parameter takes part in it.
 MIN_COMPONENT = 1e-3
 
-
-#: Relative change of the sum of squares, and size of its gradient, at which the fit ends: far below
-#: the errors of measurements, so that intervals do not depend on them.
+#: Relative change of the sum of squares at which the fit ends: far below the errors of
+#: measurements, so that intervals do not depend on it.
 FIT_FTOL = 1e-12
+
+#: Size of the gradient of the sum of squares at which the fit ends, for the same reason.
 FIT_GTOL = 1e-12
 
 #: Relative change of the parameters at which the fit ends, of the order of the errors of R.
@@ -53,7 +55,7 @@ FIT_XTOL = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A fit; ``str`` prints its tables."""
+    """The result of a fit; ``str`` prints its tables."""
 
     material: Material  #: The material with the fitted parameters
     #: Confidence intervals; NaN on a bound, infinite if the data do not determine a parameter
@@ -184,8 +186,8 @@ def uncertainty(R: Array, squares: float, free: Mask, confidence: float) -> tupl
         confidence: Level of the intervals.
 
     Returns:
-        The covariance s² (Rᵀ R)⁻¹, (m, m), and half the widths of the intervals, (m,): NaN for
-        parameters on a bound, infinite for undetermined ones.
+        The covariance q/(n − m) (Rᵀ R)⁻¹, (m, m), and half the widths of the intervals, (m,): NaN
+        for parameters on a bound, infinite for undetermined ones.
     """
     degrees_of_freedom = len(R) - int(free.sum())
     lengths = np.linalg.norm(R[:, free], axis=0)
@@ -193,7 +195,7 @@ def uncertainty(R: Array, squares: float, free: Mask, confidence: float) -> tupl
     _, s, Vt = np.linalg.svd(R[:, free] / lengths, full_matrices=False)
     is_determined = s > SINGULAR_RTOL * s.max(initial=0.0)
     V = Vt[is_determined].T / s[is_determined]
-    C = squares / degrees_of_freedom * (V @ V.T) / np.outer(lengths, lengths)  # s² (Rᵀ R)⁻¹
+    C = squares / degrees_of_freedom * (V @ V.T) / np.outer(lengths, lengths)  # q/(n − m) (Rᵀ R)⁻¹
     is_undetermined = (np.abs(Vt[~is_determined]) > MIN_COMPONENT).any(axis=0)
     C[is_undetermined] = np.inf
     C[:, is_undetermined] = np.inf

@@ -3,9 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Moduli at small strains, from the tangent at the reference F = I.
 
-With P and A at F = I, with the pressure p = −tr(∂Ψ/∂F)/3 if incompressible, D_ijkl = A_ijkl −
-δ_ik P_jl, on strains without trace if incompressible. K = D_iijj/9 and μ = (D_ijij − D_iijj/3)/10
-are Voigt's averages; of S = D⁻¹, 1/S_iiii are Young's moduli, −S_iijj/S_iiii Poisson's ratios.
+P and A are the stress and the tangent at F = I. For an incompressible material they include the
+pressure p = −tr(∂Ψ/∂F)/3. The stiffness is D_ijkl = A_ijkl − δ_ik P_jl; that of an incompressible
+material acts on strains without trace. K = D_iijj/9 and μ = (D_ijij − D_iijj/3)/10 are Voigt's
+averages. With the compliance S = D⁻¹, 1/S_iiii are Young's moduli and −S_iijj/S_iiii are Poisson's
+ratios.
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ class Moduli:
     poisson: Array  #: Poisson's ratios ν_ij, contraction along j in tension along i, (3, 3)
 
     def __str__(self) -> str:
-        """Return a few lines."""
+        """Return the moduli as text."""
         shear = format_number(self.shear)
         bulk = format_number(self.bulk)
         lines = [f"shear modulus {shear} kPa, bulk modulus {bulk} kPa"]
@@ -85,7 +87,11 @@ def _voigt_matrix(D: Array) -> Array:
 
 
 def _stiffness(material: Material) -> Array:
-    """Return D at the reference, (3, 3, 3, 3)."""
+    """Return D at the reference, (3, 3, 3, 3).
+
+    Raises:
+        ValueError: The energy or its derivatives are not finite there.
+    """
     reference = evaluate(material, np.eye(3))
     if not reference.finite.all():
         raise ValueError("psi, its stress or its tangent is no finite number at F = I.")
@@ -103,7 +109,7 @@ def _strains(incompressible: bool) -> Array:
     shears = [np.outer(*np.eye(3)[list(ij)]) for ij in ((1, 2), (0, 2), (0, 1))]
     B = np.array([np.diag(d) for d in diagonals] + [s + s.T for s in shears], dtype=np.float64)
     B /= np.linalg.norm(B, axis=(1, 2), keepdims=True)
-    return np.delete(B, 2, axis=0) if incompressible else B
+    return np.delete(B, 2, axis=0) if incompressible else B  # without the identity
 
 
 def _tensor(B: Array, M: Array) -> Array:

@@ -47,14 +47,19 @@ __all__ = [
 #: Cosine of the angle between e₁ and e₂ up to which they are normal: a rounding margin.
 NORMAL_ATOL = 1e-10
 
+#: Default direction e₁.
 E1 = (1.0, 0.0, 0.0)
+
+#: Default direction e₂.
 E2 = (0.0, 1.0, 0.0)
+
+#: Indices of the entries F₃₃, F₁₃ and F₂₃, which are free in a sheet.
 OUT_OF_PLANE = ((2, 2), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True, slots=True)
 class MaterialTest:
-    """A path of homogeneous deformations."""
+    """A material test: a path of homogeneous deformations."""
 
     name: str  #: Name of the test
     symbol: str  #: Letter of its values, λ or γ
@@ -66,7 +71,11 @@ class MaterialTest:
 
 
 def uniaxial(stretch: npt.ArrayLike, *, along: Sequence[float] = E1) -> MaterialTest:
-    """Uniaxial tension or compression by λ, positive, (n,), along e₁ of any length.
+    """Uniaxial tension or compression.
+
+    Args:
+        stretch: λ along e₁, positive, (n,).
+        along: Direction e₁, of any length.
 
     Raises:
         ValueError: A stretch is not positive, or the direction is zero.
@@ -97,7 +106,8 @@ def biaxial(
         name: Name of the test.
 
     Raises:
-        ValueError: A stretch is not positive, their numbers differ, or directions are not normal.
+        ValueError: A stretch is not positive, there are more or fewer λ₂ than λ, or the directions
+            are not normal to each other.
     """
     stretch = _stretches("stretch", stretch)
     second = _stretches("stretch_2", stretch_2)
@@ -223,7 +233,11 @@ def _path(
 
 
 def _unit(name: str, direction: npt.ArrayLike) -> Array:
-    """Return a unit vector."""
+    """Return a unit vector, (3,).
+
+    Raises:
+        ValueError: The direction is zero or has no three finite components.
+    """
     vector = np.array(direction, dtype=np.float64)
     length = np.linalg.norm(vector)
     if vector.shape != (3,) or not 0.0 < length < np.inf:
@@ -237,7 +251,11 @@ def _diagonal(first: Array, second: Array) -> Array:
 
 
 def _stretches(name: str, values: npt.ArrayLike) -> Array:
-    """Return positive numbers, (n,)."""
+    """Return stretches, (n,).
+
+    Raises:
+        ValueError: One is not positive or not finite.
+    """
     numbers = _numbers(name, values)
     if numbers.min() <= 0:
         raise ValueError(f"{name} = {numbers.min()}: a stretch is positive, and 1 at rest.")
@@ -245,7 +263,11 @@ def _stretches(name: str, values: npt.ArrayLike) -> Array:
 
 
 def _numbers(name: str, values: npt.ArrayLike) -> Array:
-    """Return finite numbers, (n,)."""
+    """Return numbers, (n,).
+
+    Raises:
+        ValueError: There is none, or one is not finite.
+    """
     numbers = np.atleast_1d(np.array(values, dtype=np.float64))
     if numbers.ndim != 1 or not len(numbers) or not np.isfinite(numbers).all():
         raise ValueError(f"{name} = {values!r}: give finite numbers, one per state.")

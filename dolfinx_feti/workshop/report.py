@@ -25,7 +25,7 @@ __all__ = ["Report", "check"]
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What the checks found; ``str`` prints it."""
+    """Results of all checks of a material; ``str`` prints them."""
 
     material: Material  #: The material
     checks: tuple[Check, ...]  #: All checks
@@ -38,7 +38,7 @@ class Report:
         return all(c.outcome != "fail" for c in self.checks)
 
     def __str__(self) -> str:
-        """Return the tables."""
+        """Return the report as text."""
         rows = [[c.outcome, c.name, c.value, c.bound, c.note] for c in self.checks]
         parts = [
             _describe(self.material),
@@ -89,7 +89,7 @@ def check(
 
 
 def _check_finite_along(law: Law, paths: Sequence[MaterialTest]) -> Check:
-    """Count the states of all paths, with guesses in their free entries, that are no numbers."""
+    """Check that all values are finite along the paths, with guesses of the free entries."""
     not_finite = [(path, k) for path in paths for k in np.flatnonzero(~law(path.F).finite)]
     name = "finite values along the paths"
     if not not_finite:
@@ -136,7 +136,12 @@ def _check_ellipticity(scan: Ellipticity) -> Check:
 
 
 def _range(name: str, ends: tuple[float, float], *, above: float, rest: float, n: int) -> Array:
-    """Return n values between the ends, and the value at rest."""
+    """Return n values between the ends, and the value at rest, in ascending order.
+
+    Raises:
+        ValueError: The value at rest is not between the ends, an end is not above the bound or not
+            finite, or n is less than two.
+    """
     first, last = ends
     if not above < first < rest < last < np.inf:
         raise ValueError(f"{name} = {ends}: give a range with {rest:g} (rest) inside.")
@@ -146,7 +151,7 @@ def _range(name: str, ends: tuple[float, float], *, above: float, rest: float, n
 
 
 def _describe(material: Material) -> str:
-    """Return what the material is, in one line."""
+    """Return a line on the compressibility and the parameters of a material."""
     kind = f"kappa = {format_number(material.kappa)} kPa"
     if material.incompressible:
         kind = "incompressible"

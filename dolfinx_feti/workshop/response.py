@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Response curves: the stresses of a material along a path, and those that were measured there.
+"""Response curves: computed and measured stresses along a path.
 
 With the pressure p of an incompressible material, or p = κ (J − 1), P = ∂Ψ/∂F + p cof F is the
 first Piola stress (force per reference area) and σ = J⁻¹ P Fᵀ the Cauchy stress (force per deformed
@@ -37,7 +37,7 @@ SYMBOLS: dict[Measure, str] = {"cauchy": "σ", "piola": "P"}
 class Response:
     """Stresses along a path, in the loading frame.
 
-    States for which no equilibrium was found hold NaN.
+    States without equilibrium have NaN.
     """
 
     path: MaterialTest  #: The path
@@ -84,7 +84,8 @@ class DataSet:
     """Stresses measured along a path.
 
     Raises:
-        ValueError: A value has no meaning, or the stresses do not match the path.
+        ValueError: The stresses are not finite or do not match the path, the measure is unknown, or
+            the weight is not positive.
     """
 
     path: MaterialTest  #: The path, with one state per measurement
@@ -136,8 +137,8 @@ def plot_responses(
     """Draw stresses over stretches or shears: of responses as lines, of data sets as points.
 
     Args:
-        responses: Responses, one at least, as ``found.responses`` of a fit.
-        data: What was measured, as ``found.data``.
+        responses: Responses, one at least, such as ``Fit.responses``.
+        data: Measured stresses, such as ``Fit.data``.
         names: Names of the responses in the legend, by default those of the paths.
         measure: ``cauchy`` or ``piola``, of the responses; data sets have their own.
 

@@ -13,12 +13,13 @@ A *panel* shows one body. It is created by all processes and drawn by the first 
         pictures.field(stress, "stress [kPa]", displacement=u),
     )
 
-The background is transparent, and the frame ends where the panels end. At the end of a cell of a
-notebook, the picture is shown there. ``panel.mesh()`` is a PyVista mesh, for scenes of any kind.
+The background is transparent, and margins are cropped. A notebook shows the picture if it is the
+last value of a cell. ``panel.mesh()`` is a PyVista mesh, for scenes of any kind.
 
 VTK draws an image of each panel (``panels``, ``view``, ``rendering``), and matplotlib puts these
 side by side, with titles and colour bars (``composition``). A new kind of panel is a subclass of
-``Panel`` and a function like ``fibres``.
+``Panel`` with ``add_to``, for pictures, and ``coloured_meshes``, for scenes, and a function like
+``fibres`` that creates it.
 
 In the order of the data: pyvista_import, fibre_lines, colours, panels, view, rendering,
 composition, drawing.

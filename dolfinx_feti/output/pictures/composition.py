@@ -4,7 +4,7 @@
 """Images side by side in one file, with titles and colour bars, by matplotlib.
 
 Each title is above its image, and each colour bar below the images that share it. All lengths are
-in inches; matplotlib wants shares of the figure.
+in inches; matplotlib takes shares of the figure.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ DPI = 200
 TITLE_HEIGHT = 0.34
 
 #: Distance of the middle of a title from the top, over the height of the strip: a little above its
-#: middle, as no letter is as deep as a capital is high.
+#: middle, as descenders are shorter than capitals.
 TITLE_MIDDLE = 0.45
 
 #: Height of the strip of colour bars: the bar, the line of its ticks, and the label.
@@ -63,8 +63,10 @@ FONT_SIZE = 11.0
 #: Size of the numbers of colour bars in points.
 TICK_SIZE = 9.0
 
-#: Colour of texts on light and on dark backgrounds.
+#: Colour of texts on light backgrounds.
 DARK_INK = "#202020"
+
+#: Colour of texts on dark backgrounds.
 LIGHT_INK = "#f0f0f0"
 
 
@@ -97,7 +99,7 @@ class _Layout:
 
 @dataclass(frozen=True, slots=True)
 class _Span:
-    """The range of a picture from left to right that the images of one label take [inches]."""
+    """Horizontal range of the images that share a label [inches]."""
 
     start: float
     end: float
@@ -197,7 +199,7 @@ def _add_colour_bar(
         figure: The figure.
         layout: Its lengths.
         label: Text below the bar.
-        span: Where the images are that share the bar.
+        span: Range of the images that share the bar.
         scale: The colours of fields.
         ink: Colour of texts.
     """

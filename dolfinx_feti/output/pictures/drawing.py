@@ -26,7 +26,7 @@ PERCENTILES = (1.0, 99.0)
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture in a file, which notebooks show.
+    """A picture in a file. Notebooks show it.
 
     Attributes:
         path: The file.

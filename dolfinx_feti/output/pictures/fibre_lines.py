@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Lines along a vector field on a surface, which show fibres.
 
-Each line starts at a point of the surface, its middle, and is followed to both sides in steps. All
-lengths are shares of the extent of the surface.
+Each line starts in its middle, at a point of the surface, and is followed to both sides in steps.
+All lengths are shares of the extent of the surface.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ DISTANCE = 0.055
 #: Points of a line; an odd number, as one of them is in the middle.
 N_POINTS = 17
 
-#: Distance from the nearest point of the surface, over the edge of a triangle, from which on a line
-#: has left the surface. In the middle of an equilateral triangle it is 0.58.
+#: A line has left the surface if its distance from the nearest point of the surface exceeds this
+#: share of the median edge of a triangle. In the middle of an equilateral triangle it is 0.58.
 RIM = 0.8
 
 

@@ -36,9 +36,11 @@ EDGE_ANGLE = 40.0
 #: Radius of the tubes that show fibres, over the extent of the body.
 FIBRE_RADIUS = 0.0035
 
-#: Sides of the tubes in a scene, and distance of the points of a fibre that are used. With the 8
-#: sides and all 17 points of a picture, the fibres of a tube of 3 mm make a file of 30 MB.
+#: Sides of the tubes in a scene. With the 8 sides and all 17 points of a picture, the fibres of a
+#: tube of 3 mm make a file of 30 MB.
 SCENE_SIDES = 3
+
+#: Every fourth point of a fibre is used in a scene, for the same reason.
 SCENE_STRIDE = 4
 
 
@@ -210,13 +212,14 @@ def field(
     """Return a panel with a body coloured by a field. Collective.
 
     Args:
-        expression: A Function or UFL expression: a scalar, or a vector, of which the length counts.
+        expression: A Function or UFL expression: a scalar, or a vector or tensor, whose norm is
+            drawn.
         label: Name and unit for the colour bar.
         displacement: Displacement of the points, such as u or 10 * u; None for the body at rest.
         title: Text above the body.
         cells: Local numbers of the cells to be drawn, such as those of a layer,
             ``wall.cell_tags.find(wall.layers["media"])``; all if None.
-        is_continuous: Whether the field is drawn without jumps between cells, by mean values.
+        is_continuous: Whether the field is averaged where cells meet; if not, it has jumps there.
 
     Raises:
         ImportError: PyVista is not installed.
@@ -261,7 +264,8 @@ def fibres(wall: Wall, families: Sequence[Expr], layer: str, *, title: str = "")
 
     Args:
         wall: The wall.
-        families: Direction of each family of fibres, as ``fibre_families`` returns them.
+        families: Directions of the families of fibres, one at least, as ``fibre_families`` returns
+            them.
         layer: Name of the layer.
         title: Text above the layer.
 

@@ -29,7 +29,7 @@ def require_pyvista() -> None:
 
 
 def import_pyvista() -> Any:
-    """Return the module ``pyvista``, which takes a second to import: on the first process alone."""
+    """Import and return ``pyvista``: on the first process only, as this takes a second."""
     return importlib.import_module("pyvista")
 
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""From where bodies are seen, and at which scale."""
+"""Views: the direction from which bodies are drawn, and the scale."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ __all__ = ["View", "view_of"]
 #: Direction from a body to the viewer: from the right, in front and above.
 VIEWER = np.array([0.40, -0.85, 0.34])
 
-#: Longest over second longest extent of a body from which on it is turned to lie on its side. A
-#: cube, and a body that is about as wide as long, stay upright.
+#: Ratio of two successive singular values of the cloud of points above which the body is longer in
+#: one direction than in the next. A longer body lies on its side; a cube stays upright.
 ELONGATED = 1.3
 
-#: Cosine of the angle to a coordinate axis below which a body is drawn along this axis: 20 degrees.
+#: Cosine of the angle between the longest direction of a body and a coordinate axis above which the
+#: body is drawn along this axis: the angle is less than 20 degrees.
 ALONG_AXIS = 0.94
 
 
@@ -60,12 +61,15 @@ def view_of(surfaces: Sequence[BodySurface], viewer: Sequence[float] | None) -> 
 def _axes(points: Array) -> Array:
     """Return the directions to the right, to the back and upwards as rows, (3, 3).
 
-    A body that is longer than it is wide lies on its side. Otherwise z is upwards.
+    A body that is longer than it is wide lies on its side: its first principal axis, or a
+    coordinate axis close to it, points to the right. Its second principal axis points upwards, or a
+    coordinate axis if the second one is arbitrary, as in a tube. Of all other bodies x points to
+    the right and z upwards.
     """
     x = points - points.mean(axis=0)
     _, lengths, directions = np.linalg.svd(x, full_matrices=False)
     right = directions[0]
-    right = right * np.sign(right[np.argmax(np.abs(right))])
+    right = right * np.sign(right[np.argmax(np.abs(right))])  # the largest component is positive
     if lengths[0] < ELONGATED * lengths[1]:
         return np.eye(3)
     axis = int(np.argmax(np.abs(right)))
