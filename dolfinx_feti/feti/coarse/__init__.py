@@ -15,7 +15,7 @@ column is its amplitude. The files, by the formulation that they serve:
   Vᵀ A; ``zero_energy`` detects mechanisms; ``rounding`` bounds the errors of energies;
   ``primal_problem`` has A₀ = Vᵀ A V and the projection with it.
 - dual: ``weighted_columns`` stores M G; ``dual_problem`` has G = B E and N = Gᵀ Q G + D. The
-  columns are the motions E and no others, because the defect D belongs to them.
+  columns are the motions E and no others: N contains the defect D, which is defined for E alone.
 
 The paper is C. M. Augustin, G. A. Holzapfel and O. Steinbach, *IJNME* 99
 (2014) 290-312.
@@ -23,13 +23,15 @@ The paper is C. M. Augustin, G. A. Holzapfel and O. Steinbach, *IJNME* 99
 **Further columns of the primal formulation**, such as unit displacements of corner dofs, are a
 function that returns columns U_i of each subdomain, (n_{Γ,i}, any number), as ``adaptive`` does.
 ``primal.preconditioner`` appends them to E, before it computes adaptive columns. Nothing else
-changes: owners, blocks and matrices follow from the widths of the U_i.
+changes: owners, blocks and matrices follow from the widths of the U_i. An option for such columns
+is a field of ``options.FETIOptions``, which ``Pattern.options`` has.
 
 A column has one contributor. Averaging spreads it to the neighbours: the unit vector of a dof in
 one of its copies becomes δ times that of the assembled dof. If several subdomains contributed it,
 their averages would be multiples of one field. That is allowed, but A₀ then has a zero pivot for
-each repetition, and MUMPS factors it in place of the faster fronts. The pairs of ``Copies`` number
-the copies of a dof over all processes; that with the smallest number may be its contributor.
+each repetition, and MUMPS factors it in place of the faster fronts. To select one contributor of a
+dof, take the copy with the smallest number: ``Copies.pair_copies`` numbers the copies of each row
+over all processes. Rows with a prescribed value have no pairs, and their columns average to zero.
 
 In the order of the data: rounding, adaptive, basis, dofmap, assembly, averaged, energy, group,
 fronts, solver, null_space, products, zero_energy, primal_problem, weighted_columns, dual_problem.

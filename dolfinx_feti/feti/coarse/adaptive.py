@@ -88,7 +88,8 @@ def adaptive_columns(
         copies: Copies of the interface dofs, with the weights δ.
         multiply_A: Product with :math:`T_i A T_i^⊤`; not collective. It is called for one subdomain
             after the other.
-        solve_S: Product with :math:`S_{ρ,i}^{-1}`, likewise.
+        solve_S: Product with :math:`S_{ρ,i}^{-1}`, likewise. It is applied to forces F with
+            U₀ᵀ F = 0 only.
         U_0: All other coarse columns of each subdomain, (n_{Γ,i}, any number).
         max_columns: Largest number of columns of a subdomain.
         threshold: The bound χ₀.

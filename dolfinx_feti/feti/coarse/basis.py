@@ -75,7 +75,7 @@ def jump_columns(copies: Copies, U: Sequence[Array]) -> LocalCoarseBasis:
     """
     first_dof, width = _blocks_of_rows(copies, U)
     first_row = copies.comm.scan(copies.size) - copies.size  # of this process, over all processes
-    with_itself = copies.pair_copies == first_row + copies.pair_rows  # a row paired with itself
+    with_itself = copies.pair_copies == first_row + copies.pair_rows  # pairs of a row with itself
     prescribed = np.setdiff1d(np.arange(copies.size), copies.pair_rows)  # rows without a pair
     panel_rows = _PanelRows(
         row=np.append(copies.pair_rows, prescribed),
@@ -96,6 +96,8 @@ def jump_columns(copies: Copies, U: Sequence[Array]) -> LocalCoarseBasis:
 @dataclass(frozen=True, slots=True)
 class _PanelRows:
     """The rows of all panels of this process: an interface row, and a block of columns in it.
+
+    An interface row occurs once for each block that may be nonzero in it.
 
     Attributes:
         row: Interface row of this process, (panel rows,).
@@ -150,7 +152,7 @@ def _local_basis(
 
     Args:
         copies: Copies of the interface dofs.
-        panel_rows: Where the columns are nonzero; each interface row once for each block.
+        panel_rows: Where the columns are nonzero, in any order.
         column_values: Returns the values of column j of the block of each panel row, (panel rows,);
             those of blocks without a column j are ignored. Collective.
     """

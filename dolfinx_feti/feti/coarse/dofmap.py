@@ -49,8 +49,8 @@ class CoarseDofMap:
 
         Args:
             basis: The columns on the interface of each subdomain.
-            block_widths: Number k_i of columns that each subdomain contributes. The basis does not
-                have those of a subdomain without interface.
+            block_widths: Number k_i of columns that each subdomain contributes. Those of a
+                subdomain without interface count, too; the basis has no panel for them.
             comm: Communicator of the columns.
         """
         self.comm = comm

@@ -91,7 +91,11 @@ class Combinations:
     widths: Numbers
 
     def without_zero_energy(self) -> Combinations:
-        """Return B alone, for a later matrix, for which the energies are not computed again."""
+        """Return B with an empty B₀, for a later matrix.
+
+        B₀ has zero energy with the matrix for which it was computed. Its energy with a later matrix
+        is not computed.
+        """
         n_c = self.B.shape[0]
         return Combinations(self.B, B_0=scipy.sparse.csr_array((n_c, 0)), widths=self.widths)
 

@@ -55,8 +55,9 @@ def factor_by_fronts(
             rounding unit.
 
     Returns:
-        The factor, without entries on all but the first process of ``sharing``. None if N is not
-        positive definite, if its factor would be too large, or if the options name a solver.
+        The factor. It has entries on the first process of ``sharing`` only; the others must not
+        solve with it. None if N has no rows or is not positive definite, if its factor would be too
+        large, or if the options name a solver.
 
     Raises:
         FactorError: The rows of some block have different columns; on all processes.
@@ -72,6 +73,7 @@ def factor_by_fronts(
     graph = _block_graph(N, block_widths)
     rows = np.arange(N_c, dtype=np.int32)
     on_interface = np.zeros(len(graph.widths), dtype=bool)  # N is factored as a whole
+    # To the fronts, N is the matrix of one subdomain that has all rows, in the order of N.
     fronts = on_all(
         lambda: Fronts(code, rows, rows, graph.widths, (graph.ptr, graph.adjacent), on_interface),
         comm,

@@ -29,7 +29,7 @@ COARSE_NULL_RTOL = 1e-8
 
 
 def is_null_space(N: PETSc.Mat, Z_c: Array) -> bool:
-    """Return True if N Z_c = 0 up to rounding; always without columns. Collective.
+    """Return True if N Z_c = 0 up to rounding, or if Z_c has no columns. Collective.
 
     Args:
         N: Coarse matrix, (N_c, N_c).

@@ -140,10 +140,12 @@ class PrimalCoarseProblem:
 
         The span of V B contains Z, unless subdomains resist it: K_i Z ≠ 0, although A Z = 0. Then
         A₀ y ≠ 0 for the amplitudes y of :meth:`_amplitudes`, and A₀ remains as it is. It may have
-        zero pivots, which the coarse solver leaves out. Solutions are right, but take longer: a
-        free rectangle of six subdomains with springs that cancel, of 1e-6 to 1e-2 of the stiffness,
-        takes 37 to 339 iterations instead of 9, with eliminated interiors; with a side clamped, 5
-        to 8. The springs are those of tests/feti/test_null_space.py.
+        zero pivots, which the coarse solver leaves out.
+
+        The solutions are right, but take more iterations. An example is a free rectangle of six
+        subdomains with eliminated interiors, and with springs whose sum is zero
+        (tests/feti/test_null_space.py). It takes 9 iterations without springs, and 37 to 339 with
+        springs of 1e-6 to 1e-2 of the stiffness. With these and a clamped side it takes 5 to 8.
 
         Args:
             S: Schur complements of the present matrix.
@@ -164,7 +166,7 @@ class PrimalCoarseProblem:
             Z: Single-valued fields by their copies, (n_Γ, k).
 
         Returns:
-            The amplitudes of this process, (n_0, k); of no meaning for other fields.
+            The amplitudes of this process, (n_0, k); meaningless for fields outside the span.
         """
         V = self.V
         B = self.combinations.B
@@ -219,7 +221,7 @@ class PrimalCoarseProblem:
             ε.array[:] = NEGATIVE_ENERGY_MARGIN * (B.multiply(B).T @ of_columns)
             shifted = owned.own(self.A_0.copy())
             shifted.setDiagonal(ε, addv=PETSc.InsertMode.ADD_VALUES)
-            # A₀ + ε most often has negative eigenvalues, for which there is no factor by fronts. No
-            # block widths are passed, so that none is tried and a group counts them at once.
+            # A₀ + ε most often has negative eigenvalues, and fronts factor definite matrices only.
+            # Without block widths the solver does not try fronts: a group counts the eigenvalues.
             solver = owned.own(CoarseSolver(shifted, options=options, is_symmetric=True))
             return solver.inertia().negative

@@ -155,9 +155,8 @@ def compute_products(
             Y_transposed.append(
                 np.ascontiguousarray(Y_i.T, np.float32 if is_single else np.float64)
             )
-            element = W_i.multiply_transposed(
-                Y_i, is_symmetric=is_symmetric
-            )  # W_iᵀ Y_i = (W_iᵀ S_i W_i)ᵀ
+            # The product W_iᵀ Y_i is the transpose of the element matrix W_iᵀ S_i W_i.
+            element = W_i.multiply_transposed(Y_i, is_symmetric=is_symmetric)
             assembler.add(i, element if is_symmetric else element.T)
 
     on_subdomains(compute, comm)

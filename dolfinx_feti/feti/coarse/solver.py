@@ -12,9 +12,9 @@ matrices on several processes*):
   N⁻¹, with which it multiplies;
 - *group*: else each group of processes has a factor of any solver of PETSc (``group``).
 
-A solve gathers b in one collective call; fronts need a second one for the solution, and a group
-those of its solver. The same call sums a number of each process, which saves a Krylov method a
-reduction.
+A solve gathers b in one collective call. Fronts need a second one for the solution, and a group
+those of its solver. The first call also sums a number of each process, which saves a Krylov method
+a reduction.
 """
 
 from __future__ import annotations
@@ -139,8 +139,9 @@ class CoarseSolver:
     def _solve_by_factor(self, b_all: Array) -> Array:
         """Return all of N⁻¹ b for all of b, (N_c,) → (N_c,); NaN if the solver fails. Collective.
 
-        The guarded solve of a group is collective on it, unlike other guarded work. It may be,
-        because MUMPS and PETSc's Krylov methods report a failure on all processes of the group.
+        Guarded work must not be collective, as it may fail on one process only. The solve of a
+        group is an exception: MUMPS and PETSc's Krylov methods report a failure on all of its
+        processes.
         """
         if isinstance(self.factor, GroupFactor):
             return self._errors.guard(lambda: self.factor.solve(b_all), b_all.shape)
@@ -151,9 +152,12 @@ class CoarseSolver:
         return x_all
 
     def memory(self) -> float | None:
-        """Return the memory of the factor, and of the inverse on all processes, in MiB. Collective.
+        """Return the memory of one factor and of all rows of the inverse in MiB. Collective.
 
-        None if the solver does not report it.
+        The factor is that of the first process, which has entries in each of the three ways.
+
+        Returns:
+            The memory, the same on all processes; None if the solver does not report it.
         """
         of_factor = on_all(self.factor.memory, self._comm)
         of_inverse = 0 if self.inverse is None else self.inverse.nbytes
@@ -162,7 +166,10 @@ class CoarseSolver:
         return self._comm.bcast(memory)
 
     def inertia(self) -> FactorInertia:
-        """Return numbers of negative eigenvalues and zero pivots, if reported. Collective."""
+        """Return numbers of negative eigenvalues and zero pivots, if reported. Collective.
+
+        They are read from the factor of the first process, and the same on all processes.
+        """
         return self._comm.bcast(on_all(lambda: self.factor.inertia, self._comm))
 
     def __str__(self) -> str:

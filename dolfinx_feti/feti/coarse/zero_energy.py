@@ -72,6 +72,7 @@ class ZeroEnergyFields:
         other, they cancel in V s, but not in V (±s).
         """
         s = self._amplitudes(MECHANISM_SEED)
+        # The seed only has to differ from those of the amplitudes.
         signs = np.random.default_rng(self._V.n_c).choice([-1.0, 1.0], len(s))
         copies = self._V.copies
         fields = [self._V.prolong(s), self._V.prolong(signs * s)]

@@ -150,9 +150,8 @@ def create_deflation_space(
         W = _balanced(coarse, S, vectors.W)
         B = _combinations_outside_V(copies, vectors.W, W)
         W = W @ B
-        Y = on_subdomains(
-            lambda: S.multiply_columns(W, transpose=not is_symmetric), comm
-        )  # Y = Sᵀ W
+        # Y = Sᵀ W
+        Y = on_subdomains(lambda: S.multiply_columns(W, transpose=not is_symmetric), comm)
         H = total_of(Y.T @ W, comm)  # H = Wᵀ A W
         θ, B_θ, H_inverse = on_all(lambda: _diagonal_and_inverse(H), comm)
         is_indefinite = bool(coarse.negative_eigenvalues)

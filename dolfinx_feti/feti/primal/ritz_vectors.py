@@ -9,10 +9,13 @@ They are the combinations (W, Z) y with the smallest Ritz values θ,
 
 in the span of the solve's own W and of its preconditioned residuals Z (Gosselet, Rey, Pebrel, Total
 and selective reuse of Krylov subspaces, 2013; docs/theory.md). They cost no product with A or
-:math:`M^{-1}`, because the iterations have computed A Z = R H with Z = Π M R. Π removes from Z what
-W spans, so that
+:math:`M^{-1}`, because the iterations have computed A Z = R H with Z = Π M R. Π adds to M R
+combinations of V and W, so that
 
 .. math:: M^{-1} Z = R + (M^{-1} W)\, W^⊤ M^{-1} Z.
+
+The part in V is left out: with :math:`M + V X V^⊤` in place of M, Z is the same for every X,
+because :math:`V^⊤ R = 0`, and the inverse maps V to zero as X grows.
 
 In exact arithmetic :math:`Z^⊤ R` would be diagonal. Rounding spoils the orthogonality of the
 residuals; therefore Gram matrices are computed in full. If A is not symmetric, the symmetric part

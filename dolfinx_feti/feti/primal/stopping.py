@@ -68,8 +68,8 @@ class InterfaceErrorTest:
 class StoppingTest:
     """Tolerances of residual and error, and a limit of iterations, for a Krylov method.
 
-    A method calls :meth:`reason_of_residual` at the start and after each iteration, with ‖r‖. In
-    the next iteration, which computes z of the same residual, it tests η if ‖r‖ needs that::
+    A method calls :meth:`reason_of_residual` at the start and after each iteration, with ‖r‖. The
+    next iteration computes z of the same residual. If ‖r‖ has met its target, it then tests η::
 
         z, _ = system.precondition(r)
         if stopping.needs_error_estimate(norm):

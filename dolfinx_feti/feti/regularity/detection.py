@@ -79,7 +79,7 @@ def require_supported(torn: Torn, bodies: Bodies) -> None:
     """Check that bodies cannot move rigidly except in the given null space. Collective.
 
     Raises:
-        SingularError: A body can; the message describes its motions.
+        SingularError: A body can move; the message describes its motions.
     """
     rigid = free_motions(torn, bodies, is_semidefinite=False)
     if not rigid.lie_in_null_space():
@@ -109,7 +109,8 @@ def require_regular(
         options: Options of the coarse solver.
 
     Raises:
-        SingularError: A does not; the message describes the motions.
+        SingularError: A does not resist some motions, which the message describes; or N has a zero
+            pivot, although no such motion was found.
         SetUpError: The coarse solver is not accurate.
     """
     rigid = free_motions(torn, bodies, is_semidefinite=is_semidefinite)
@@ -142,7 +143,7 @@ def require_no_mechanism(
         is_semidefinite: Whether all K_i are known to be positive semi-definite.
 
     Raises:
-        SingularError: A does not; the message describes the motions.
+        SingularError: A does not resist some fields; the message describes their motions.
     """
     rigid = free_motions(torn, bodies, is_semidefinite=is_semidefinite)
     mechanisms = _unresisted_motions(fields, rigid)

@@ -27,10 +27,10 @@ MAX_DESCRIBED = 3
 MAX_TRANSLATION_VARIANCE = 1e-10
 
 #: Quotient of the largest and the smallest diagonal entry of A above which a message blames small
-#: coefficients. A soft part that supports a stiff one goes unnoticed if its force on a motion is
-#: below about 1e-14 of the largest diagonal entry. If its own entries are 1e-10 of the largest one,
-#: that force is 1e-4 of what its entries suggest, which is the case for a large island in a void.
-#: If they are 1e-8, the force would be 1e-6 of it, which does not occur.
+#: coefficients. The force of a soft support counts as rounding if it is below about 1e-14 of the
+#: largest diagonal entry. A support with entries of 1e-10 of the largest one goes unnoticed if its
+#: force is below 1e-4 of its entries. That is the case for a void around a large island. With
+#: entries of 1e-8, the force would have to be below 1e-6 of them, which does not occur.
 UNEVEN_DIAGONAL = 1e10
 
 #: Decimals of a coordinate relative to the largest one of its point. Smaller parts are rounding

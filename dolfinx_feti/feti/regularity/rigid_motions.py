@@ -124,7 +124,8 @@ def _unsupported_combinations(
     motions = matrix.scale_motions(modes)
     supports = bodies.supports
     R_supports = r_factors(motions[supports.dofs], supports.bodies, bodies.count, torn.comm)
-    R_free = r_factors(motions, bodies.label, bodies.count, torn.comm)  # free dofs have a label
+    # Dirichlet dofs have the label ``count``, so that these factors leave them out.
+    R_free = r_factors(motions, bodies.label, bodies.count, torn.comm)
 
     def combinations() -> list[Array]:
         coefficients = []

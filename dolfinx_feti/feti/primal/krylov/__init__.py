@@ -8,5 +8,8 @@ entry in ``registry``. The entry says with which matrices the method solves. The
 serves a matrix is used, and no option chooses another one: a method after one that serves the same
 matrices is never used.
 
+``tests/feti/primal/test_krylov_methods.py`` runs each entry on a symmetric definite system. One of
+its tests needs a method that stores vectors for Ritz vectors (``base.KrylovBasis``).
+
 In the order of the data: base, conjugate_gradients, gmres, registry.
 """

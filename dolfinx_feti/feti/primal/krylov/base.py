@@ -54,6 +54,10 @@ def empty_basis(n: int) -> KrylovBasis:
 class KrylovMethod(Protocol):
     """A Krylov method; collective.
 
+    M is symmetric also if A is not. It is positive definite, unless the matrix K_ρ of a subdomain
+    has a negative eigenvalue: a method that divides by rᵀ z has to test its sign, and ends with
+    ``DIVERGED_INDEFINITE_PC`` if it is not positive.
+
     A method has to
 
     - begin with :func:`start_from_coarse_space`, which calls ``monitor(0, ‖r₀‖)``, and call
@@ -64,7 +68,10 @@ class KrylovMethod(Protocol):
       residuals, cannot reduce ‖r‖ below some 1e-6 ‖r₀‖ (measured for a tube),
     - call ``stopping`` as :class:`~dolfinx_feti.feti.primal.stopping.StoppingTest` describes, and
       end unless the reason is ``ITERATING``,
-    - end with ``needs_fresh_start`` if it can neither converge nor continue.
+    - end with ``needs_fresh_start`` if it can neither converge nor continue,
+    - guard local work of an iteration that may fail on one process, by ``system.copies.errors``.
+      The methods of ``system`` return NaN if they fail; ‖r‖ is then NaN, too, and ``stopping`` ends
+      the method on all processes.
     """
 
     def __call__(
@@ -91,7 +98,8 @@ class KrylovMethod(Protocol):
                 not depend on their signs ignores it.
 
         Returns:
-            The solution by its copies, (n_Γ,).
+            The solution by its copies, (n_Γ,): the iterate that meets the tolerances, or the one
+            with the smallest residual.
 
             How the method ended: ``reason``, ``iterations``, and Ritz values if it knows them. If
             it has neither converged nor failed, the reason is ``ITERATING`` and

@@ -71,10 +71,10 @@ def conjugate_gradients(
     The solution is the iterate that meets the tolerances, or otherwise the one with the smallest
     residual.
 
-    η is estimated along the way for the iterate before each step. The iterate after the step may be
-    accepted by it, since (x − x_k)ᵀ M⁻¹ (x − x_k) decreases from one iterate to the next (Hestenes,
-    Stiefel, Methods of conjugate gradients for solving linear systems, 1952, theorem 6:3, for
-    preconditioned vectors).
+    Near the target, η of the iterate before each step is estimated along the way. The iterate after
+    the step is accepted by this η. Its own error is not larger: (x − x_k)ᵀ M⁻¹ (x − x_k) decreases
+    from one iterate to the next (Hestenes, Stiefel, Methods of conjugate gradients for solving
+    linear systems, 1952, theorem 6:3, for preconditioned vectors).
     """
     start = start_from_coarse_space(system, f, monitor)
     cg = _Recurrences(system, start, stored_iterations)

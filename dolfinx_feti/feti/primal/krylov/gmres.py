@@ -151,10 +151,8 @@ class _ArnoldiBasis:
             return np.zeros(self._Z.shape[1])
         a = self._a[:k]
         U = self._H[1 : k + 1, :k]
-        y = self._copies.errors.guard(
-            lambda: scipy.linalg.solve_triangular(U, a),  # U⁻¹ a
-            shape=k,
-        )
+        # y = U⁻¹ a
+        y = self._copies.errors.guard(lambda: scipy.linalg.solve_triangular(U, a), shape=k)
         return np.asarray(self._Z[:k].T @ (y * (self._first_norm / (1.0 + a @ a))))
 
     def preconditioned_residual(self) -> Array:
