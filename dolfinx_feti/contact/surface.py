@@ -160,7 +160,7 @@ class ContactSurface:
         """
         V = self._V
         bs = self._V.dofmap.index_map_bs
-        scalar = dolfinx.fem.Function(V).x
+        scalar = dolfinx.fem.Function(V).x  # |k|, with ghosts
         owned = V.dofmap.index_map.size_local * bs
         scalar.array[:owned] = np.abs(diagonal)
         scalar.scatter_forward()

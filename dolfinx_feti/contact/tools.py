@@ -164,7 +164,7 @@ def _length(d: Any) -> Any:
 
 
 def _check_point(name: str, point: Vector | None) -> None:
-    """Raise a ValueError if a number is not finite; what is UFL's is not checked."""
+    """Raise a ValueError if a number is not finite. Expressions of UFL are not checked."""
     if point is None or isinstance(point, Expr):
         return
     numbers = np.asarray(point, dtype=float)
@@ -173,7 +173,7 @@ def _check_point(name: str, point: Vector | None) -> None:
 
 
 def _check_direction(name: str, direction: Vector) -> None:
-    """Raise a ValueError if a direction is zero, or a number is not finite."""
+    """Raise a ValueError if a direction of numbers is zero, or not finite."""
     _check_point(name, direction)
     if not isinstance(direction, Expr) and _norm(direction) == 0.0:
         raise ValueError(f"{name} = {tuple(direction)}: give a vector that is not zero.")

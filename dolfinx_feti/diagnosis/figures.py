@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Figures of a torn problem: sizes of the subdomains, copies, stiffness, pressures.
+r"""Figures of a torn problem, its measured numbers: sizes, copies, stiffness, pressures.
 
 The jump of the stiffness is the greatest :math:`k_i / \min_j k_j` over the copies i, j of a dof,
 with the stiffness k of a subdomain at the dof. The condensed pressure raises the diagonal of K by

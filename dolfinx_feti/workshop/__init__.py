@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A workshop for materials: energies in UFL checked, drawn and fitted before they meet a mesh.
+"""Workshop for materials: check, draw and fit an energy in UFL without a mesh of a body.
 
 Example::
 

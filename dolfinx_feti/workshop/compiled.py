@@ -64,7 +64,7 @@ class States:
 
 
 class CompiledEnergy:
-    """The generated code of an energy, with the Function of the states and the parameters."""
+    """Generated code of an energy, with a Function for the states and Constants for parameters."""
 
     def __init__(
         self,

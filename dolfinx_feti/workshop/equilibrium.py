@@ -45,7 +45,7 @@ RESIDUAL_ROUNDING = 1e-14
 #: Share of the predicted decrease of the residual that a Newton step must have (Armijo's rule).
 SUFFICIENT_DECREASE = 1e-4
 
-#: Volume ratio below which a body has collapsed, as St Venant–Kirchhoff's energy allows.
+#: Volume ratio up to which a trial state is rejected: St Venant–Kirchhoff's energy allows collapse.
 MIN_VOLUME_RATIO = 1e-6
 
 #: ε_ijk, the permutation symbol.
@@ -63,7 +63,7 @@ class _Trial:
     p: Array  #: [kPa], (n,)
     r: Array  #: Residuals in x and p, without units, (n, m)
     K: Array  #: Their tangents, (n, m, m)
-    norm: Array  #: ‖r‖, infinite if a value is not finite or the body has collapsed, (n,)
+    norm: Array  #: ‖r‖, (n,); infinite if a value is not finite, or J is almost zero or negative
 
     def has_residual_below(self, tolerance: float) -> Mask:
         """Return a mask of the states whose residual is small relative to the tangent, (n,)."""

@@ -217,7 +217,7 @@ def field(
         label: Name and unit for the colour bar.
         displacement: Displacement of the points, such as u or 10 * u; None for the body at rest.
         title: Text above the body.
-        cells: Local numbers of the cells to be drawn, such as those of a layer,
+        cells: Local numbers of the cells that are drawn, such as those of a layer,
             ``wall.cell_tags.find(wall.layers["media"])``; all if None.
         is_continuous: Whether the field is averaged where cells meet; if not, it has jumps there.
 
