@@ -163,7 +163,8 @@ def copy_of_rows(N: PETSc.Mat, rows: slice) -> PETSc.Mat:
 
     Args:
         N: Matrix, (N_c, N_c).
-        rows: Rows over all processes, other ones on each process.
+        rows: Rows that this process copies, numbered over all processes. Each process may pass
+            different ones.
 
     Returns:
         A sequential matrix, (rows, N_c); the caller destroys it.

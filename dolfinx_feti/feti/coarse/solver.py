@@ -228,7 +228,7 @@ class _Gatherer:
         """Count the rows of each process. Collective."""
         self._comm = N.comm.tompi4py()
         rows = np.array(self._comm.allgather(N.getLocalSize()[0]))
-        self._counts = rows + 1  # its rows, and then its number
+        self._counts = rows + 1  # entries of its rows, and then its number
         self._is_entry = np.ones(self._counts.sum(), dtype=bool)
         self._is_entry[np.cumsum(self._counts) - 1] = False
 

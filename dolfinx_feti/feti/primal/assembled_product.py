@@ -247,11 +247,11 @@ def _exchange_blocks(
 ) -> dict[tuple[int, int], Array]:
     """Exchange blocks between neighbours on different processes. Collective.
 
-    A pair is here a subdomain and its neighbour. A message from one process to another has the
-    blocks of all their pairs, sorted by the receiver's subdomain and then by the sender's. Both
-    processes know both numbers of each pair, and therefore sort the pairs alike. The rows of a
-    block are in the receiver's order. The two blocks of a pair are on the same dofs, and therefore
-    of the same size.
+    Here a pair is a subdomain and its neighbour, and not two copies of a dof. A message from one
+    process to another has the blocks of all their pairs, sorted by the receiver's subdomain and
+    then by the sender's. Both processes know both numbers of each pair, and therefore sort the
+    pairs alike. The rows of a block are in the receiver's order. The two blocks of a pair are on
+    the same dofs, and therefore of the same size.
 
     Args:
         remote: Dofs shared with neighbours on other processes.

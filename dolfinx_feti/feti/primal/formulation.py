@@ -203,11 +203,11 @@ class PrimalFormulation:
         return self.operator.interface_load(f)[self.preconditioner.copies.dofs]
 
     def memory(self) -> float:
-        """Return the memory of all factors of this process in MiB."""
+        """Return the memory of S and of all factors of subdomains of this process in MiB."""
         return self.operator.memory() + self.preconditioner.inverse.memory()
 
     def deflation_memory(self) -> float:
-        """Return the memory of the Ritz vectors of this process in MiB."""
+        """Return the memory of W and its products on this process in MiB."""
         return self.deflation.memory()
 
     def _extended(self, x_Γ: Array, f: Array) -> Array:

@@ -48,12 +48,12 @@ from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.rounding import FORCE_ROUNDING_MARGIN
 
 #: Growth of a random vector in the scaled N⁻¹ above which null vectors are computed. Singular
-#: matrices have larger ones. If N is regular, that costs a few solves in vain. Half of it changes
-#: no test.
+#: matrices have larger ones. If N turns out to be regular, the null vectors were not needed, and
+#: cost a few solves. Half of it changes no test.
 SUSPICIOUS_GROWTH = 1e8
 
 #: Backward error of a solve with N above which null vectors are computed, as they are the likely
-#: reason. Without any motion among them, the solver is inaccurate, which is an error. A choice far
+#: reason. If none of them is a motion, the solver is inaccurate, which is an error. A choice far
 #: above rounding: half of it changes no test.
 MAX_BACKWARD_ERROR = 1e-8
 

@@ -10,7 +10,8 @@ needed.
 
 If A is known to be positive semi-definite, the energy :math:`\hat w^⊤ \hat A\, \hat w` has to be
 rounding, too. Rounding errors of size ε in the entries of w cause a force of order ε, but an energy
-of order ε² only. So the energy of a weak support stands out from them where its force does not.
+of order ε² only. The energy of a weak support can therefore exceed rounding although its force does
+not.
 """
 
 from __future__ import annotations

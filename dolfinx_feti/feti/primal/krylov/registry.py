@@ -20,7 +20,8 @@ class RegisteredMethod:
         solve: The method.
         needs_symmetric: Whether it solves with symmetric matrices only.
         solves_indefinite: Whether it also solves with indefinite matrices. If not, the dual
-            formulation takes over where the matrix turns out to be indefinite.
+            formulation takes over if the matrix turns out to be indefinite. This flag has no effect
+            on which method is used.
     """
 
     solve: KrylovMethod
