@@ -86,7 +86,8 @@ def check_forms(V: dolfinx.fem.FunctionSpace | None, **forms: tuple[ufl.Form, in
 def shares_no_dofs(Q: dolfinx.fem.FunctionSpace) -> bool:
     """Return True if no two cells of any process share a dof of the space. Not collective.
 
-    The global numbers of cells and dofs are compared, which all processes have.
+    If cells share no dofs, there are as many dofs as cells times dofs of a cell. Every process has
+    these numbers of the whole mesh.
     """
     topology = Q.mesh.topology
     dofmap = Q.dofmap

@@ -4,7 +4,7 @@
 """Compilation of UFL: machine code for forms and expressions.
 
 An error on one process is raised on all of them (``runtime.collective.on_all``). dolfinx caches
-FFCx's code. Kernels of the package (``cell_kernels``) have a generator of their own, ``kernels``.
+FFCx's code. The package's own kernels (``cell_kernels``) come from ``Compiler.kernels``.
 """
 
 from __future__ import annotations

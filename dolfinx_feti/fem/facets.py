@@ -101,9 +101,10 @@ def one_side(
         side: Cells on the side to integrate from, with exactly one cell at each interior facet: all
             cells of a material, ``cell_tags.find(2)``, for example. Ghosts are allowed.
             If None, each connected surface is integrated from one side. Curved surfaces, such as a
-            sphere or a tube, are integrated from the inside. Plane ones, whose mean normal is
-            longer than they bulge over their size, are integrated from the side whose outward mean
-            normal has a positive component along x (along y if that along x is zero, then z).
+            sphere or a tube, are integrated from the inside. A surface counts as plane if its mean
+            normal is longer than its bulge divided by its size. It is integrated from the side
+            whose outward mean normal has a positive component along x. If that component is zero,
+            y decides, then z.
             ``"any"`` if the side does not matter, as for values of continuous functions.
 
     Returns:

@@ -8,9 +8,9 @@ r"""Internal variables of a material, such as damage: Functions with an update i
 at the points of each Function's element. All Ξ are evaluated before any ξ changes.
 
 A variable *affects the forces* if it is in the forms of the problem, or if the Ξ of such a variable
-depends on it. The other variables are only recorded, such as a largest stress. They are updated
-when a state is accepted, as that leaves it in equilibrium; those that affect the forces are updated
-when the next step begins.
+depends on it. Its update disturbs the equilibrium, so it is done when the next step begins. The
+other variables, such as a largest stress, are only recorded. They are updated when a state is
+accepted.
 """
 
 from __future__ import annotations

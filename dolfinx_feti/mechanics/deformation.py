@@ -13,6 +13,10 @@ tensor T of the forms is taken for F if
 3. :math:`T - I` is a gradient for all u, or the forms contain the inverse, determinant or cofactors
    of T and a gradient of u occurs in T.
 
+The alternative in 3 is for increments from a last state, such as :math:`I + \nabla w\, F_n^{-1}`.
+Such an increment is no gradient on the reference configuration, but the forms contain its inverse
+or determinant, so it has to stay regular, too.
+
 That a tensor is a gradient is checked numerically (``random_fields``): fields :math:`a\,(b·x)` with
 random amplitudes a and one common direction b have gradients :math:`q ⊗ b`, of rank one, unlike
 strains and products. If no tensor passes, a strain :math:`E = c\,(H + H^⊤ + H^⊤ H)` gives F = I +
@@ -83,9 +87,9 @@ class VolumeRatio:
         of_body: Volume ratio of the body: det F, or the smallest det F of several F. Newton's
             method requires that it is positive at the quadrature points of each iterate.
         of_energy: Volume ratio on which the energy depends: det F_e if there is one elastic part,
-            and ``of_body`` otherwise. Its values inside of cells are checked in accepted states.
+            and ``of_body`` otherwise. Its values inside cells are checked in accepted states.
         is_determinant: Whether both are determinants, so that their values are changes of volume.
-            Of another expression of a user, only the sign has a meaning.
+            For any other expression that a user gives, only the sign has a meaning.
         gradients: The tensors F, (n, n) each; empty if a user's expression contains none.
         u: The unknown.
     """

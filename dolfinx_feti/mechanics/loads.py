@@ -10,8 +10,8 @@ material. In all functions
 - u is the displacement [mm], (d,), v a test function and du a trial function on the same space,
 - ds is the measure of the loaded reference surface, whose normal N points out of the wall, into the
   lumen,
-- p is a number, a dolfinx Constant or an expression. A number that is not finite is a ValueError.
-  The number zero makes an empty form, as UFL would drop the test function.
+- p is a number, a dolfinx Constant or an expression. A number that is not finite raises a
+  ValueError. For the number zero the form is empty, because UFL would drop the test function.
 
 docs/theory.md explains when a tangent is symmetric.
 """

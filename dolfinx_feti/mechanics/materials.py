@@ -15,7 +15,7 @@ All functions have these arguments, and return an energy in kPa:
 - J: det F. Without it, √(det C) is used: the tangent takes longer to assemble, and an inverted
   element does not give NaN.
 - Parameters are floats, dolfinx constants, or any UFL expression, such as a Function of the layer.
-  Stiffnesses are in kPa, exponents without unit. A float out of its range is a ValueError.
+  Stiffnesses are in kPa, exponents without unit. A float out of its range raises a ValueError.
 
 An isochoric energy Ψ̄ needs a volumetric part, :func:`volumetric` or :func:`perturbed_lagrangian`.
 A *complete* energy resists changes of volume by itself. For exponentials set the quadrature degree,

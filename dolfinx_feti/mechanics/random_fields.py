@@ -86,7 +86,7 @@ class RandomFields:
         return all(value is not None and self._is_gradient(value) for value in values)
 
     def is_strain(self, E: Expr, H: Expr) -> bool:
-        """Return True if E = c (H + Hᵀ + Hᵀ H) with a number c; for the transpose of H as well."""
+        """Return True if E = c (H + Hᵀ + Hᵀ H) or E = c (H + Hᵀ + H Hᵀ) with a number c."""
         strain = self._value(E, 1.0)
         h = self._value(H, 1.0)
         if strain is None or h is None or strain.shape != h.shape:

@@ -12,8 +12,8 @@ tractions have a potential::
 
 Add them to the internal energy. Source: P. Moireau et al., Biomech. Model. Mechanobiol. 11 (2012).
 Units: k in kPa/mm, η in kPa s/mm, Δt in s, lengths in mm, per reference area. The direction is
-``"normal"``, w = (u·N) N, or ``"all"``, w = u. Another one, and a number that is negative or not
-finite, is a ValueError.
+``"normal"``, w = (u·N) N, or ``"all"``, w = u. Any other direction raises a ValueError, as does a
+number that is negative or not finite.
 """
 
 from __future__ import annotations

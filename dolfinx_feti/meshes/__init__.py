@@ -3,13 +3,24 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Meshes of artery walls, and the meshes of the paper's studies. ``meshes/README.md`` has a guide.
 
-The generators of walls, ``tube`` and ``vessel``, write files. ``surface`` and ``remesh`` prepare
-the lumen, ``layers`` grows columns of prisms on it, ``bad_columns`` improves them, and ``files``
-writes the result. ``walls`` generates such a file, or finds it, and reads it on all processes.
+================================================  ================================================
+function                                          result
+================================================  ================================================
+``tube.create_tube``, ``vessel.create_vessel``    a file, written by one process, and its quality
+``walls.open_wall``, ``walls.create_tube_wall``   a ``Wall`` on all processes, from such a file
+``bricks.create_brick_tube``,                     a ``Wall`` on all processes, without a file
+``ellipsoid.create_ellipsoid``
+``octant.create_octant``, ``cube.create_cube``    a mesh of dolfinx, without layers and surfaces
+================================================  ================================================
 
-``bricks``, ``ellipsoid``, ``octant`` and ``cube`` create distributed meshes without a file; the
-first two number their cells by ``lattice``. A new geometry of bricks is a file like ``ellipsoid``:
-points and numbers of a lattice become ``WallArrays``, which ``distribute`` turns into a wall.
+For a file, ``surface`` and ``remesh`` prepare the lumen, ``layers`` grows columns of prisms on it,
+``bad_columns`` improves them, and ``files`` writes the result. ``lattice`` numbers the cells of
+``bricks`` and ``ellipsoid``.
+
+A new geometry of bricks is a file like ``ellipsoid``: points and numbers of a lattice become
+``WallArrays``, which ``distribute`` turns into a wall. Layers and surfaces may have any names;
+``tags`` lists the usual ones. A case names a generator, as in ``mesh = "tube"``, if that writes a
+file and is in ``walls.GENERATORS``.
 
 From the command line::
 

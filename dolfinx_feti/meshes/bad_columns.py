@@ -45,9 +45,10 @@ def improve_tops(x: Array, y: Array, t: Numbers, *, heights: Array) -> Array:
     """Return tops that are moved until the worst tetrahedra of their columns are good enough.
 
     For each top of a bad column, steps in 26 directions are tried, at nearly the same distance from
-    the lumen. The step with the best worst quality is chosen; if none improves the quality, steps
-    become shorter. In a round a top moves only if it gains most among its neighbours, whose
-    qualities it changes. Tops on the rims do not move.
+    the lumen. The worst quality of the columns at the top is compared. The best step is chosen; if
+    no step improves this quality, the steps of this top become shorter. Neighbouring tops share
+    columns, so in a round a top moves only if no neighbour improves more. Tops on the rims do not
+    move.
 
     Args:
         x: Points of the lumen, (n, 3) [mm].

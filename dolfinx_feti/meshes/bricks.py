@@ -45,7 +45,7 @@ def create_brick_tube(
     order: int = 2,
     tetrahedra: bool = False,
 ) -> Wall:
-    """Mesh the tube with hexahedra, or with tetrahedra.
+    """Create the two-layer tube of hexahedra, or of tetrahedra, on all processes.
 
     Args:
         comm: Communicator of the mesh.
@@ -60,6 +60,9 @@ def create_brick_tube(
             stresses are steep.
         order: Order of the geometry: 1 for straight edges, 2 for curved ones.
         tetrahedra: Whether each hexahedron is cut into six tetrahedra.
+
+    Returns:
+        The wall, with the layers and surfaces of :mod:`dolfinx_feti.meshes.tube`.
 
     Raises:
         ValueError: A length or the growth is not positive, or the order is not 1 or 2. On all

@@ -104,9 +104,11 @@ def _cell_positions(subcube: Numbers, subcubes: int, cells: int) -> Numbers:
 
 
 def _lattices(edge: int) -> tuple[list[tuple[int, ...]], Numbers]:
-    """Return the shape of each lattice of a cube of edge³ cells, and the number of its first node.
+    """Return how the nodes of a cube of edge³ cells are numbered, lattice by lattice.
 
-    The last number is that of all nodes, (6,).
+    Returns:
+        The shape of each of the five lattices, and the number of its first node, followed by the
+        number of all nodes, (6,).
     """
     extents = (edge + 1 - 2 * OFFSETS).astype(int)  # a lattice at 1/2 has one point less
     shapes = [tuple(map(int, extent)) for extent in extents]

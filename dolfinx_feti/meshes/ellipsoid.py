@@ -53,12 +53,13 @@ DIGITS = 9
 #: Bisections of an interval of length 1.2 that reach rounding: 1.2 / 2⁶⁰ is 1e-18.
 BISECTIONS = 60
 
-#: Tolerance of the fraction t: nodes of curved cells lie on ellipsoids up to rounding. It is ample.
+#: The bisection for the fraction t starts from an interval that is longer than [0, 1] by this much
+#: at both ends: nodes on the inner and outer ellipsoid lie there only up to rounding.
 FRACTION_MARGIN = 0.1
 
 
 def create_ellipsoid(comm: MPI.Comm, n: int, through: int | None = None) -> Wall:
-    """Create the wall with the surfaces ``lumen`` and ``base``. Collective.
+    """Create the ellipsoid's wall, one layer with the surfaces ``lumen`` and ``base``. Collective.
 
     Args:
         comm: Communicator of the mesh.

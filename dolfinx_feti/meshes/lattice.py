@@ -3,9 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Cells of a lattice of nodes: bricks with straight or curved edges, or simplices.
 
-A brick of order k has (k + 1)³ nodes. It is a hexahedron, or is cut into six tetrahedra along the
-paths of edges from its first corner to the last. Quadrilaterals and triangles of a lattice in two
-dimensions, such as the side of one in three, are those of the cells.
+A brick of order k has (k + 1)³ nodes. It is a hexahedron, or is cut into six tetrahedra: there are
+six paths of three edges from its first corner to the last, and each tetrahedron has the corners on
+one of them. A lattice in two dimensions has quadrilaterals or triangles. If it is a side of a
+lattice in three dimensions, they are the facets of its cells.
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ SIMPLICES = {2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 
 
 def lattice_cells(numbers: Numbers, order: int, *, simplices: bool) -> Numbers:
-    """Return the nodes of all cells of a lattice in dolfinx's order, (cells, nodes).
+    """Return the nodes of all cells of a lattice, (cells, nodes).
 
-    The cells are ordered like the bricks in the lattice, the last index first.
+    The nodes of a cell are in dolfinx's order. The cells are ordered like the bricks in the
+    lattice, in which the last index changes fastest.
 
     Args:
         numbers: Number of each node, an array with two or three axes. Nodes with one number, such

@@ -36,7 +36,8 @@ class Sheets:
     """Sheets of points that divide a wall into elements, from the lumen to the outer wall.
 
     Attributes:
-        heights: Height of each sheet over the lumen, from 0 to 1 [thickness], (n + 1,).
+        heights: Height of each sheet over the lumen, as a share of the thickness: from 0 for the
+            lumen to 1 for the outer wall, (n + 1,).
         layers: Tag of the layer between each sheet and the next one, (n,).
         layer_names: Tags of the layers by name.
     """
@@ -60,7 +61,7 @@ class Rim:
 
 
 def create_sheets(shares: Mapping[str, float], counts: Sequence[int]) -> Sheets:
-    """Divide layers evenly.
+    """Return sheets that divide each layer evenly.
 
     Args:
         shares: Each layer's share of the thickness, from the inside out; their sum need not be 1.

@@ -28,7 +28,7 @@ __all__ = ["create_octant"]
 def create_octant(
     comm: MPI.Comm, divisions: int, layers: int, inner: float = 1.0, outer: float = 1.1
 ) -> dolfinx.mesh.Mesh:
-    """Create the mesh of a hollow sphere's part with x, y, z ≥ 0, of second order.
+    """Create a mesh of second order of an octant of a hollow sphere, x, y, z ≥ 0.
 
     Args:
         comm: Communicator of the mesh.
@@ -36,6 +36,9 @@ def create_octant(
         layers: Elements through the wall.
         inner: Inner radius [mm].
         outer: Outer radius [mm].
+
+    Returns:
+        The mesh, without tags.
 
     Note:
         Collective.

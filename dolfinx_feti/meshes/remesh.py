@@ -55,7 +55,7 @@ SMOOTHING_ROUNDS = 4
 #: between two triangles that a flip creates. A choice that was not measured.
 MIN_COSINE = 0.5
 
-#: Smallest gain of a flip, in edges or radians: a rounding margin.
+#: Smallest gain of a flip, in squared valences or in radians: a rounding margin.
 MIN_GAIN = 1e-9
 
 #: Number of edges at a vertex of a regular triangulation, inside and on a rim.
@@ -102,7 +102,9 @@ def _rank(is_eligible: Mask, values: Array) -> Numbers:
 
 
 def _has_lowest_rank(n: int, ends: Numbers, rank: Numbers) -> Mask:
-    """Return a mask of the edges without a lower rank at their ends and neighbours of these, (k,).
+    """Return a mask of the edges with the lowest rank in their neighbourhood, (k,).
+
+    The neighbourhood of an edge has all edges at its ends and at the neighbours of its ends.
 
     Args:
         n: Number of vertices.

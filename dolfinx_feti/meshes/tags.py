@@ -20,7 +20,8 @@ LAYER_TAGS = {"media": 1, "adventitia": 2}
 SURFACE_TAGS = {"lumen": 3, "outer": 4, "symmetry_x": 5, "symmetry_y": 6}
 SURFACE_TAGS |= {f"opening_{k}": 10 + k for k in range(1, 90)}
 
-#: Tag of the innermost layer if it has another name; those of the next layers follow.
+#: Tag of the innermost layer if its name is not in LAYER_TAGS. For a layer further out, the number
+#: of layers inside it is added.
 FIRST_OTHER_LAYER = 101
 
 

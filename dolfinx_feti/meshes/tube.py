@@ -44,8 +44,9 @@ ADVENTITIA = 0.13
 #: not round.
 MIN_AROUND = 8
 
-#: Coordinates of a unit tube that are rounding: cos 90° is 6e-17, the smallest one that is not zero
-#: is about one over the number of elements. They become zero, so points lie in the symmetry planes.
+#: Coordinates of a unit tube below this size are rounding errors, such as 6e-17 for cos 90°. They
+#: become zero, so that points lie in the symmetry planes. The smallest true coordinate other than
+#: zero is about one over the number of elements.
 ZERO_ATOL = 1e-15
 
 log = logging.getLogger(__name__)

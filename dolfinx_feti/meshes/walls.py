@@ -200,7 +200,8 @@ def generate_wall(generate: Callable[[Path], object], comm: MPI.Comm) -> Wall:
 def wall_quality(wall: Wall) -> MeshQuality:
     """Return the quality of a wall's tetrahedra. Collective.
 
-    Edges count as straight: a curved tetrahedron is measured by its corners.
+    Edges count as straight: a curved tetrahedron is measured by its corners. For a wall of
+    hexahedra the result has no meaning, as only the first four corners of a cell are read.
     """
     mesh = wall.mesh
     n_owned = mesh.topology.index_map(3).size_local
@@ -221,8 +222,9 @@ def wall_quality(wall: Wall) -> MeshQuality:
 def _path_of_wall(source: str | Path, size: float | None, folder: Path) -> Path:
     """Return the path of a wall's file, after generating it if it is missing or out of date.
 
-    Beside a generated file is another one with a digest of the size and of the generators' source:
-    if it differs, the wall is out of date.
+    Next to a generated file is another one with a digest of the size and of all Python files of
+    this folder. If the digest differs, the wall is out of date. Any change in this folder, even of
+    a comment, therefore generates all walls again.
 
     Args:
         source: Name of a generator, or the path of a file, which is returned.

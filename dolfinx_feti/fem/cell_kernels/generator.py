@@ -91,7 +91,7 @@ class KernelGenerator:
         """Create the kernels of forms. Collective.
 
         Args:
-            forms: Forms of any integrals.
+            forms: Forms with integrals of any type.
             mesh: Their mesh.
 
         Returns:

@@ -6,7 +6,8 @@
 The forms are data (``program``), which ``kernel.c`` reads. The machine code depends only on the
 dimension and the number of quadrature points. ``kernel.c`` visits some groups of eight cells at a
 time: it computes basis functions and coefficients at the quadrature points once, then all forms.
-Values agree with FFCx's to rounding; what is NaN by one code is NaN by the other.
+Values agree with those of FFCx's code to rounding. A value that is NaN in one code is NaN in the
+other.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ if TYPE_CHECKING:  # not at run time: it imports the private parts of FFCx
 
 #: Flags of the C compiler:
 #:
-#: - ``-O3`` also makes jumps of the calls with which each instruction ends (``tape.h``),
+#: - ``-O3`` also turns the call at the end of each instruction into a jump (``tape.h``),
 #: - ``-fno-math-errno`` and ``-fno-trapping-math`` allow vectors of square roots and comparisons;
 #:   no code reads ``errno`` or the floating point flags,
 #: - ``-fno-tree-loop-distribute-patterns`` keeps short loops that set or copy vectors from becoming

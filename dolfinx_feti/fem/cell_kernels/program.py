@@ -6,11 +6,14 @@ r"""From UFL's forms to the data of ``kernel.c``: a tape, tables of basis functi
 .. math:: r[a i] = \sum_q \sum_J P_q[iJ]\, ∂_J φ_a, \qquad
           K[a i, b k] = \sum_q \sum_L \Bigl(\sum_J A_q[iJ, kL]\, ∂_J φ_a\Bigr)\, ∂_L φ_b .
 
-Rows belong to the test function: its node a and component i, or entry a · bs + i. J and L are
-derivatives along an axis, or none: then φ itself is meant. A *contraction* computes the entries of
-one pair of components (i, k). If A_st and A_ts are one value of the tape for all slots of an
-integrand, its part of K is symmetric, and contractions with i > k are mirrored. A missing argument
-counts as the constant 1, with one node, so that residuals and energies are contractions, too.
+J and L are derivatives along an axis, or none: then φ itself is meant. Row a i, with node a and
+component i, has the number a · bs + i. A *contraction* computes the entries of one pair of
+components (i, k). If A_st and A_ts are one value of the tape for all slots of an integrand, its
+part of K is symmetric, and contractions with i > k are mirrored.
+
+Residuals and energies are contractions, too: a missing argument is replaced by the constant 1,
+which has one node. The test function numbers the rows of a tangent. It numbers the columns of a
+residual, a matrix with one row.
 """
 
 from __future__ import annotations

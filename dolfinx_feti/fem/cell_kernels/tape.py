@@ -193,7 +193,10 @@ class Tape:
         return self._keys[a] if a > 0 else PRIME - self._keys[-a]
 
     def _find_opaque(self, value: Value) -> int:
-        """Return the reference to a value that only the same instruction computes."""
+        """Return the reference to a value whose key follows no rule of algebra.
+
+        Only the same instruction, with operands of the same keys, has this key.
+        """
         keys = [self._key(a) for a in value.operands]
         seed = f"{value.name} {keys} {value.integers}"
         return self._find(random.Random(seed).randrange(1, PRIME), value)

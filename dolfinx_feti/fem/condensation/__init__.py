@@ -10,6 +10,10 @@ means by which multipliers are judged. ``condensation`` subtracts K_up K_pp⁻¹
 matrix, by a loop in C, and owns the multipliers. One field and several are treated alike: an array
 of a cell has the dofs of all fields, field by field.
 
+An element with several condensed fields needs no new code: the user lists the fields in
+``condense``. Together they have to be determined in each cell. If only the sum of two fields occurs
+in an energy, K_pp is singular where their spaces have a function in common.
+
 In the order of the data: condensed_fields, mixed_tangent, cellwise_forms, cell_inverse, cell_means,
 condensation.
 """

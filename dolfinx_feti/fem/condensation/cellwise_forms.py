@@ -34,7 +34,8 @@ class CellwiseForms:
         """Compile the forms. Collective.
 
         Args:
-            forms: Linear and bilinear forms. A zero form has its arguments, too (``BlockForm``).
+            forms: Linear and bilinear forms. A form that is zero has to contain its arguments, as
+                that of a ``BlockForm`` does.
             mesh: Their mesh.
             compiler: Compiler of the problem.
 

@@ -347,13 +347,23 @@ class Condensation:
         K.mat.stateIncrease()
 
     def residual(self, matrices: CellMatrices, n_torn: int) -> Array:
-        """Return what the fields add to the condensed residual, −K_up K_pp⁻¹ r_p, (n_torn,)."""
+        """Return what the fields add to the condensed residual, −K_up K_pp⁻¹ r_p, (n_torn,).
+
+        Args:
+            matrices: What :meth:`assemble` returned at the present state.
+            n_torn: Number of torn dofs of u on this process.
+        """
         correction = -matrices.K_up @ matrices.excess
         sums = np.bincount(self.dofs().ravel(), correction.ravel(), minlength=n_torn)
         return sums.astype(np.float64)  # without any cell, NumPy returns integers
 
     def increment(self, matrices: CellMatrices, du: Array) -> Array:
-        """Return Δp = −K_pp⁻¹ (r_p + K_pu Δu), (size,), for a torn Δu, (n_torn,)."""
+        """Return Δp = −K_pp⁻¹ (r_p + K_pu Δu), (size,); zero for ghosts.
+
+        Args:
+            matrices: What :meth:`assemble` returned at the state of the step.
+            du: Torn increment Δu, (n_torn,).
+        """
         dp = np.zeros(self._numbering.size)
         slope_du = matrices.slope @ du[self.dofs()][:, :, None]
         dp[self._numbering.entries] = -(matrices.excess + slope_du)[:, :, 0]

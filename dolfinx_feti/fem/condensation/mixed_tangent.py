@@ -6,7 +6,8 @@ r"""The forms of a tangent in u and condensed fields p, derived from residuals o
 .. math:: \begin{pmatrix} K_{uu} & K_{up} \\ K_{pu} & K_{pp} \end{pmatrix}, \qquad
           K_{up} = ∂F_u/∂p, \quad K_{pu} = ∂F_p/∂u, \quad K_{pp} = ∂F_p/∂p
 
-with a row and a column of blocks for each field.
+with a row and a column of blocks for each field. K_uu is not among the blocks of this file: it is
+assembled on the torn space, as the tangent of a problem without condensed fields.
 """
 
 from __future__ import annotations

@@ -34,8 +34,9 @@ from dolfinx_feti.wall.wall import AXES, Wall, extent, facets
 
 __all__ = ["Boundary", "Prestretch", "apply_conditions"]
 
-#: Prestretch at which the potential of a pressure is tested: planes that are pulled apart must not
-#: lie in the origin, where every plane passes the test. Any number far from 1 does.
+#: Prestretch at which the potential of a pressure is tested. Rims that slide in a plane through the
+#: origin pass the test without an axis, but fail it as soon as a prestretch moves the plane. Any
+#: number far from 1 moves it enough.
 TRIAL_STRETCH = 1.1
 
 
@@ -69,8 +70,8 @@ class Boundary:
     Attributes:
         bcs: Dirichlet conditions of clamped and sliding surfaces.
         residual: Virtual work of the conditions.
-        tangent: Its derivative; symmetric if the pressure has a potential.
-        energy: Potential [mN mm]; None if a condition has none.
+        tangent: Its derivative; symmetric if there is an ``energy``.
+        energy: Potential [mN mm]; None if one of the conditions has none.
         pressure: The wall's pressure [kPa], zero at first; set its ``value``.
         time_step: Δt of the dashpots [s], infinite at first; set its ``value``, unless
             ``follow_time`` does.
@@ -209,7 +210,8 @@ class _Forms:
     Attributes:
         residual: Virtual work.
         tangent: Its derivative.
-        energy: Potential; None if the residual has none, or it is not part of these forms.
+        energy: Potential; None if the residual has none, and for pressures, whose potential
+            ``find_potential`` returns.
     """
 
     residual: ufl.Form

@@ -109,7 +109,8 @@ class Contribution:
         residual: Internal minus external virtual work of a force without a potential, with a test
             function of the space of u. Its derivative is added to the tangent, and the wall has no
             energy.
-        pressure_share: Share of the wall's pressure that follows this surface [-]; None for none.
+        pressure_share: Share of the wall's pressure that acts on the deformed surface [-]; None for
+            no pressure.
         stretched_axes: Numbers of the axes along which an axial prestretch moves the surface: its
             ``bcs`` prescribe these components of u by ``WallState.clamped``, or by the displacement
             of ``plane``. Empty for a surface that no prestretch moves.
@@ -127,12 +128,14 @@ class Contribution:
 class Condition(ABC):
     """Base class of the conditions on a surface.
 
+    A surface has at most one condition of each class.
+
     Attributes:
         CASE_KEYS: Keys of a table ``[surfaces.NAME]`` of a case that concern this kind; empty for a
             kind that cases do not have. The first key names the kind.
         NEEDS_BOUNDARY: Whether the condition integrates by ``ds``, which is empty inside the wall.
-        WHY_ALONE: Why no other condition is allowed on the same surface, for the message; empty if
-            others are allowed.
+        WHY_ALONE: Empty if other conditions are allowed on the same surface. Otherwise the reason,
+            for a message that says "… and another condition, which WHY_ALONE".
     """
 
     __slots__ = ()

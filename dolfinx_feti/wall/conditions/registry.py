@@ -19,7 +19,8 @@ __all__ = ["KINDS", "Conditions", "by_surface", "case_keys", "conditions_in_case
 #: One or several conditions for each surface by name.
 Conditions: TypeAlias = Mapping[str, Condition | Sequence[Condition]]
 
-#: All kinds, in the order in which a case lists the conditions of a surface.
+#: Kinds that a case in TOML may have, in the order in which it lists the conditions of a surface.
+#: ``apply_conditions`` accepts objects of any other subclass of ``Condition``, too.
 KINDS: tuple[type[Condition], ...] = (Pressure, Spring, Dashpot, Slide, Clamp)
 
 
