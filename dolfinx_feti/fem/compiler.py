@@ -33,9 +33,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Compiler:
-    """How the forms and expressions of one problem are compiled.
+    """Compiler of the forms and expressions of one problem, with its options.
 
-    The options do not change; the generator of kernels remembers whether it has warned.
+    The options do not change. The generator of kernels remembers whether it has warned.
 
     Attributes:
         comm: Communicator of the mesh.
@@ -76,7 +76,7 @@ class Compiler:
 
         Args:
             expression: The expression.
-            points: (points, dimension).
+            points: Points of the reference cell, (points, dimension).
 
         Raises:
             ValueError: It has no value at these points: it contains a quantity of facets, or data

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What the forms of a problem contain: functions and constants, and a signature of the forms.
+"""Functions, constants and a signature of the forms of a problem.
 
 A checkpoint stores the values of the functions and compares signatures.
 """

@@ -133,6 +133,11 @@ def _energies(
     A residual that is written as ``ufl.derivative(Π, u, v)`` contains Π until UFL expands it, in a
     node of UFL's class CoefficientDerivative. If another version of UFL has no such nodes, the
     energies of residuals are not searched.
+
+    Args:
+        F: An energy, a residual, or several of them.
+        energy: Potential of the residuals, or None.
+        u: The unknown.
     """
     energies = [] if energy is None else [energy]
     forms = [F] if isinstance(F, ufl.Form) else F

@@ -90,6 +90,11 @@ def perturbed_lagrangian(J: Expr, p: Expr, kappa: Parameter) -> Expr:
     It is stationary in p at p = κ (J − 1) = ∂Ψ_vol/∂J (eq. 12, eq. 29), where it
     equals :func:`volumetric` with the projection of J onto the space of p in each cell. p is
     positive in tension.
+
+    Args:
+        J: det F.
+        p: Pressure [kPa], an independent field.
+        kappa: Penalty κ of the change of volume [kPa].
     """
     require_positive(kappa=kappa)
     return p * (J - 1) - p**2 / (2 * kappa)
@@ -98,7 +103,10 @@ def perturbed_lagrangian(J: Expr, p: Expr, kappa: Parameter) -> Expr:
 def neo_hookean(C: Expr, *, c: Parameter, J: Expr | None = None) -> Expr:
     """Isochoric neo-Hookean energy Ψ̄ = c/2 (Ī₁ − 3) (eq. 15).
 
-    c is the shear modulus at small strains.
+    Args:
+        C: Right Cauchy–Green tensor, (d, d).
+        c: Shear modulus at small strains [kPa].
+        J: det F; √(det C) if not given.
     """
     require_positive(c=c)
     return c / 2 * (isochoric_invariant_1(C, J) - 3)
@@ -109,6 +117,12 @@ def mooney_rivlin(C: Expr, *, c10: Parameter, c01: Parameter, J: Expr | None = N
 
     The shear modulus at small strains is 2 (c₁₀ + c₀₁). Source: Mooney, J. Appl. Phys. 11 (1940);
     Rivlin, Phil. Trans. R. Soc. A 241 (1948).
+
+    Args:
+        C: Right Cauchy–Green tensor, (d, d).
+        c10: Stiffness for the first invariant [kPa].
+        c01: Stiffness for the second invariant [kPa].
+        J: det F; √(det C) if not given.
     """
     require_positive(c10=c10, c01=c01)
     return c10 * (isochoric_invariant_1(C, J) - 3) + c01 * (isochoric_invariant_2(C, J) - 3)
@@ -128,6 +142,15 @@ def holzapfel_gasser_ogden(
 
     Ψ̄ = c/2 (Ī₁ − 3) + Σ_{i=4,6} k₁/(2k₂) {exp[k₂ (Ī_i − 1)²] − 1}, where a family contributes
     only in tension, Ī_i > 1 (eq. 15, eq. 16, eq. 17).
+
+    Args:
+        C: Right Cauchy–Green tensor, (d, d).
+        a1: Direction of the first family, a unit vector, (d,).
+        a2: Direction of the second family, a unit vector, (d,).
+        c: Stiffness of the matrix material [kPa].
+        k1: Stiffness of the fibres [kPa].
+        k2: Exponent of the fibres [-].
+        J: det F; √(det C) if not given.
     """
     require_positive(c=c, k1=k1, k2=k2)
     families = (_fibre_energy(isochoric_invariant_4(C, a, J) - 1, k1, k2) for a in (a1, a2))
@@ -151,6 +174,16 @@ def gasser_ogden_holzapfel(
     E_i = ϰ (Ī₁ − 3) + (1 − 3ϰ)(Ī_i − 1), which contributes only where E_i > 0. A dispersion ϰ = 0
     is :func:`holzapfel_gasser_ogden`, and ϰ = 1/3, the largest, is isotropic. Source: Gasser,
     Ogden, Holzapfel, J. R. Soc. Interface 3 (2006) 15-35.
+
+    Args:
+        C: Right Cauchy–Green tensor, (d, d).
+        a1: Mean direction of the first family, a unit vector, (d,).
+        a2: Mean direction of the second family, a unit vector, (d,).
+        c: Stiffness of the matrix material [kPa].
+        k1: Stiffness of the fibres [kPa].
+        k2: Exponent of the fibres [-].
+        dispersion: Share ϰ of a family that points anywhere, from 0 to 1/3 [-].
+        J: det F; √(det C) if not given.
     """
     require_positive(c=c, k1=k1, k2=k2)
     require_within(0.0, 1 / 3, {"dispersion": dispersion}, remedy="a number between 0 and 1/3")
@@ -181,6 +214,15 @@ def guccione(
     et al., Proc. R. Soc. A 471 (2015) 20150641, where c = 2 kPa and b_f, b_t, b_fs = 8, 2, 4. The
     shear modulus at small strains is c b/2, with b_t across the fibres and b_fs along them. Where
     fibres shorten much (with these numbers to 0.82), the energy is not elliptic.
+
+    Args:
+        C: Right Cauchy–Green tensor, (d, d).
+        fibre: Direction of the fibres, a unit vector, (d,).
+        c: Stiffness [kPa].
+        b_f: Exponent along the fibres [-].
+        b_t: Exponent across the fibres [-].
+        b_fs: Exponent of shear along the fibres [-].
+        J: det F; √(det C) if not given.
     """
     require_positive(c=c, b_f=b_f, b_t=b_t, b_fs=b_fs)
     I1 = isochoric_invariant_1(C, J)
@@ -217,6 +259,20 @@ def holzapfel_ogden(
     R. Soc. A 367 (2009) 3445-3475. Its a and b are parameters, not directions. There shear tests on
     a pig's myocardium give a, a_f, a_s, a_fs = 0.059, 18.472, 2.481, 0.216 kPa and b, b_f, b_s,
     b_fs = 8.023, 16.026, 11.120, 11.436.
+
+    Args:
+        C: Right Cauchy–Green tensor, (d, d).
+        fibre: Direction of the fibres, a unit vector, (d,).
+        sheet: Direction in the sheets and normal to the fibres, a unit vector, (d,).
+        a: Stiffness of the matrix material [kPa].
+        b: Exponent of the matrix material [-].
+        a_f: Stiffness along the fibres [kPa].
+        b_f: Exponent along the fibres [-].
+        a_s: Stiffness along the sheets [kPa].
+        b_s: Exponent along the sheets [-].
+        a_fs: Stiffness of shear between fibres and sheets [kPa].
+        b_fs: Exponent of shear between fibres and sheets [-].
+        J: det F; √(det C) if not given.
     """
     require_positive(a=a, b=b, a_f=a_f, b_f=b_f, a_s=a_s, b_s=b_s, a_fs=a_fs, b_fs=b_fs)
     ground = a / (2 * b) * (ufl.exp(b * (isochoric_invariant_1(C, J) - 3)) - 1)
@@ -232,6 +288,11 @@ def active_tension(C: Expr, fibre: Expr, *, tension: Parameter) -> Expr:
     It adds T_a f ⊗ f to the second Piola-Kirchhoff stress of a passive energy: T_a is the force per
     reference area over the stretch. I₄ = f·C f is not isochoric. Source: problem 3 of Land et al.,
     Proc. R. Soc. A 471 (2015) 20150641.
+
+    Args:
+        C: Right Cauchy–Green tensor, (d, d).
+        fibre: Direction of the fibres, a unit vector, (d,).
+        tension: Active tension T_a, not negative [kPa].
     """
     require_not_negative(tension=tension)
     return tension / 2 * (ufl.dot(fibre, C * fibre) - 1)
@@ -242,6 +303,11 @@ def saint_venant_kirchhoff(C: Expr, *, lmbda: Parameter, mu: Parameter) -> Expr:
 
     Hooke's law, with Lamé's parameters, extended to large strains; not polyconvex, and too soft in
     strong compression.
+
+    Args:
+        C: Right Cauchy–Green tensor, (d, d).
+        lmbda: First Lamé parameter λ [kPa].
+        mu: Shear modulus μ [kPa].
     """
     require_positive(lmbda=lmbda, mu=mu)
     E = (C - ufl.Identity(C.ufl_shape[0])) / 2

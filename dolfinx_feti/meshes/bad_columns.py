@@ -87,7 +87,14 @@ def improve_tops(x: Array, y: Array, t: Numbers, *, heights: Array) -> Array:
 
 
 def _limit_distance(p: Array, surface: SurfaceProjection, low: float, high: float) -> Array:
-    """Return points moved so that their distance from a surface is between two bounds, (n, 3)."""
+    """Return points moved so that their distance from a surface is between two bounds, (n, 3).
+
+    Args:
+        p: Points, (n, 3). They move along the line through their nearest point on the surface.
+        surface: The surface.
+        low: Smallest distance.
+        high: Largest distance.
+    """
     foot = surface.project(p)
     distance = np.linalg.norm(p - foot, axis=1, keepdims=True)
     return np.asarray(foot + unit(p - foot) * np.clip(distance, low, high))

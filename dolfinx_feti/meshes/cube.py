@@ -30,7 +30,7 @@ CORNERS = np.array(list(itertools.product((0, 1), repeat=3)))
 #: Faces of a cell: the axis across them, and 0 for the lower or 1 for the upper one, (6, 2).
 FACES = np.array([(axis, side) for axis in range(3) for side in (0, 1)])
 
-#: Where a lattice begins within a cell: corners, centres, and faces across each axis.
+#: First point of each lattice in a cell, (5, 3): corners, centres, and faces across each axis.
 OFFSETS = 0.5 * np.array([(0, 0, 0), (1, 1, 1), (0, 1, 1), (1, 0, 1), (1, 1, 0)])
 
 

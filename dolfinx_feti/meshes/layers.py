@@ -27,7 +27,8 @@ __all__ = ["Rim", "Sheets", "create_sheets", "grow_wall", "sort_corners"]
 #: 3 to 5 above.
 PRISM_TETRAHEDRA = np.array([[0, 1, 2, 5], [0, 1, 4, 5], [0, 3, 4, 5]])
 
-#: Orientation of each of them if the triangle 0, 1, 2 faces the one above.
+#: Orientation of each of these tetrahedra, +1 or −1, if the normal of the triangle 0, 1, 2 points
+#: to the triangle above.
 PRISM_ORIENTATIONS = np.array([1, -1, 1])
 
 

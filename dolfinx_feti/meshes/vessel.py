@@ -120,7 +120,7 @@ def find_surface(folders: Sequence[Path] | None = None) -> Path:
     """Return the path of Gmsh's example surface.
 
     Args:
-        folders: Where to look; None for where Debian's gmsh-doc and the gmsh wheel put it.
+        folders: Folders to search; None for those of Debian's gmsh-doc and of the gmsh wheel.
 
     Raises:
         FileNotFoundError: It is in none of them.

@@ -77,7 +77,7 @@ class Case:
     layers: dict[str, LayerMaterial]  #: Materials of the layers
     #: Conditions by surface; the largest share of a pressure is 1
     conditions: dict[str, tuple[Condition, ...]]
-    pressure: float  #: Target [mmHg]; 0 if all pressures are those of cavities
+    pressure: float  #: Target [mmHg]; 0 if only cavities have a pressure
     scale: float = 1.0  #: Millimetres in the mesh's unit of length
     image: float = 0.0  #: Pressure in the wall when its mesh was imaged [mmHg]; 0 at rest
     rate: float | None = None  #: Rate of the pressure [mmHg/s]; None without dashpots

@@ -102,7 +102,7 @@ def check_faces(mesh_name: object, cells: Integers, facets: Integers, comm: MPI.
     Args:
         mesh_name: Name of the mesh for messages, such as its path.
         cells: Cells of this process, which have passed :func:`check_rows`, (m, nodes).
-        facets: Tagged facets of this process, which have passed it, too, (k, nodes).
+        facets: Tagged facets of this process, which have also passed it, (k, nodes).
         comm: Communicator.
 
     Raises:

@@ -48,7 +48,7 @@ from dolfinx_feti.fem.cell_kernels.tape import (
 #: of which the tape finds equal ones. Materials have up to fourth powers of J and invariants.
 MAX_PRODUCT_POWER = 4
 
-#: Number of coordinates of a node; dolfinx stores three for a mesh in the plane, too.
+#: Number of coordinates of a node: dolfinx stores three, also for a mesh in the plane.
 GEOMETRY_COMPONENTS = 3
 
 

@@ -48,8 +48,8 @@ HEADER = f"""
 #: that no two powers of two in double precision have the same key up to sign.
 PRIME = 0x181F21A763FC87BF
 
-#: The key of 1/x is that of x to this power, an arbitrary one. With the true inverse in the field,
-#: x/x would be the number 1, but it is NaN at x = 0.
+#: The key of 1/x is the key of x to this power, which is arbitrary. With the true inverse in the
+#: field, x/x would be the number 1, but it is NaN at x = 0.
 RECIPROCAL_EXPONENT = 0x1A2B3C4D5E6F7
 
 #: Registers 0 and 1 hold the determinant of the Jacobian and the quadrature weight.
@@ -62,7 +62,7 @@ class UnsupportedIntegrandError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """How a value is computed.
+    """The instruction that computes a value.
 
     Attributes:
         name: Instruction.

@@ -58,7 +58,7 @@ DECLARATIONS = "\n".join(
 
 @dataclass(frozen=True, slots=True)
 class CellMatrices:
-    """What condensation needs of each owned cell, at one state.
+    """Matrices of the owned cells that condensation needs, at one state.
 
     Attributes:
         K_up: (cells, d, n).

@@ -100,7 +100,7 @@ def _no_form() -> ufl.Form:
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """What a condition adds to the equations of a wall; parts that are not given add nothing.
+    """Contribution of a condition to the equations of a wall; parts that are not given add nothing.
 
     Attributes:
         bcs: Dirichlet conditions.
