@@ -35,7 +35,7 @@ def checked_prefix(prefix: str | None, kind: str, comm: MPI.Comm) -> str:
 
     Args:
         prefix: The user's prefix, or None.
-        kind: Begins the default prefix.
+        kind: Beginning of the default prefix.
         comm: Communicator of the problem.
 
     Raises:
@@ -61,8 +61,8 @@ def require_torn_space(V: dolfinx.fem.FunctionSpace, forms: object = ()) -> None
 
     Args:
         V: The space.
-        forms: Forms of the problem, in sequences or not, which the message about a mixed element
-            depends on.
+        forms: Forms of the problem, in sequences or not, by which the message about a mixed element
+            chooses its advice.
 
     Raises:
         TypeError: The space is neither scalar nor blocked, or not continuous.
@@ -94,8 +94,8 @@ def checked_conditions(
             conditions are on the mixed space.
 
     Raises:
-        ValueError: ``bcs`` is a condition alone, or contains something else or one on another
-            space.
+        ValueError: ``bcs`` is a single condition instead of a list, or contains another object or a
+            condition on another space.
     """
     if isinstance(bcs, dolfinx.fem.DirichletBC):
         raise ValueError("bcs is a Dirichlet condition alone: put it in a list, bcs=[bc].")

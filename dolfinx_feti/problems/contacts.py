@@ -22,11 +22,12 @@ from dolfinx_feti.runtime.norms import norm
 #: Updates end once they change less than this share of the contact's forces on nodes. Each solve
 #: leaves about a tenth of the change before it, as the penalty is ten times the stiffness of the
 #: body (``contact.PENALTY``): two solves leave 1e-2. A tolerance of 0.002 costs most solves one
-#: update more.
+#: more update.
 FORCE_RTOL = 0.02
 
-#: The penalty grows after an update whose change of the forces is more than this share of the last
-#: update's change. In a body as stiff as when the penalty was chosen it is a tenth of it.
+#: The penalty grows after an update that changes the forces by more than this share of the change
+#: by the update before. The share is a tenth while the body is as stiff as when the penalty was
+#: chosen.
 SLOW_UPDATE = 0.5
 
 #: Factor by which the penalty grows even if the body has not become stiffer. It is a choice, not
@@ -92,7 +93,10 @@ class Contacts:
             self._set_penalties(system, missing)
 
     def stiffen(self, system: System) -> None:
-        """Increase all penalties, by at least a factor and up to the stiffness. Collective."""
+        """Multiply all penalties by ``PENALTY_GROWTH``, or by more if the body has become stiffer.
+
+        Collective.
+        """
         for contact in self.contacts:
             contact.grow_penalty(PENALTY_GROWTH)
         self._set_penalties(system, self.contacts)

@@ -9,8 +9,9 @@ A linear problem is one Newton step from zero:
           \begin{pmatrix} u \\ p \end{pmatrix} = \begin{pmatrix} L \\ L_p \end{pmatrix}
 
 is :math:`r(0) + r'(0)\, (u, p) = 0` with :math:`r_u = A u + A_{up}\, p - L` and
-:math:`r_p = A_{pu}\, u + A_{pp}\, p - L_p`. At zero A u vanishes and is left out, so that A need
-not be compiled as an action; the other terms stay, because their derivatives are A_up, A_pu, A_pp.
+:math:`r_p = A_{pu}\, u + A_{pp}\, p - L_p`. At zero all products vanish. The product A u is left
+out, so that it need not be compiled. The others stay in the forms, because A_up, A_pu and A_pp are
+derived from them.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ class Forms:
     classes add ``volume_ratio``, ``degree``, ``mixed`` and ``scalar_forms`` in a copy.
 
     Attributes:
-        u: The unknown that is torn; a Function of value zero of a linear problem.
+        u: The unknown that is torn; in a linear problem, a Function that stays zero.
         F_u: Residual tested with v.
         J: Tangent of F_u in u.
         blocks: Blocks of the tangent in u and the fields, (1 + fields, 1 + fields), of which None
@@ -99,7 +100,8 @@ class Forms:
         mixed: The user's unknown, if that has a mixed element of one; else None.
         compression: Terms added to the equations of incompressible fields; None without any.
         scalar_forms: Function and residual whose derivatives couple scalars to u, if these are not
-            u and F_u: of a linear problem, whose u is zero, the solution and the terms of scalars.
+            u and F_u. In a linear problem, whose u is zero, they are the solution and the terms of
+            the scalars.
     """
 
     u: dolfinx.fem.Function
@@ -178,8 +180,8 @@ def derive(
         condense: Condensed fields.
         energy: Potential of the residuals.
         degree: Highest quadrature degree of integrals whose measure states none; None for no bound.
-        work: Terms that scalar unknowns add to the residual of u. The sum has no potential: that of
-            a saddle point does not fall from step to step.
+        work: Terms that scalar unknowns add to the residual of u. The result then has no potential:
+            the solution is a saddle point, and its potential does not fall from step to step.
         updates_coefficients: Whether coefficients change with the state: then F may lack u, and an
             energy that is given as F is not a potential, because its derivative ignores them.
         contacts: Contacts, whose integrals state their degree.
@@ -435,7 +437,7 @@ def linear_forms(
     for i, (row, load) in enumerate(zip(rows, loads, strict=True)):
         residual = ufl.Form([])
         for j, (form, f) in enumerate(zip(row, state, strict=True)):
-            is_zero = (i, j) == (0, 0)  # A u, see the head of the file
+            is_zero = (i, j) == (0, 0)  # A u is left out, see the head of the file
             if form is not None and not is_zero:
                 residual = residual + ufl.action(form, f)
         if load is not None:

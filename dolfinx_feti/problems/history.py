@@ -14,7 +14,7 @@ from dolfinx_feti.feti.solver import FETI
 
 @dataclass(frozen=True, slots=True)
 class NewtonStep:
-    """Cost and outcome of one Newton step, or of a linear solve, which is one step from zero.
+    """Cost and outcome of one Newton step; the solve of a linear problem is one step from zero.
 
     An unknown number is nan, and an unknown count None. Numbers whose names begin with ``linear``
     are those of the last linear solve of the step.
@@ -33,7 +33,7 @@ class NewtonStep:
     #: tangents were factored, or without a proof.
     indefinite: int | None
     shift: float  #: σ of the tangent K' + σ diag|k| that ΔU solves; zero for the true one.
-    solves: int  #: Linear solves; all but the last one failed, or their ΔU led up the potential.
+    solves: int  #: Linear solves; those before the last one failed, or led uphill.
     seconds_assembly: float  #: Time for residual, tangent and the line search before it [s].
     seconds_linear: float  #: Time for factors and Krylov method [s].
     linear_rtol: float = math.nan  #: Tolerance of ``linear_residual``.

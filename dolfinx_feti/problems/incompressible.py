@@ -31,8 +31,8 @@ from dolfinx_feti.problems.equations.system import System
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import logger, on_all, total_of
 
-#: Stiffness of the penalty κ g² over that of the forms, K_uu. Multipliers converge in fewer solves
-#: with a larger κ, each of which takes more Krylov iterations.
+#: Stiffness of the penalty κ g² over that of the forms, K_uu. With a larger κ multipliers converge
+#: in fewer solves, but each solve takes more Krylov iterations.
 STIFFNESS_RATIO = 30.0
 
 
@@ -84,7 +84,7 @@ def multiplier_tolerance(
     given            not given         penalty with the modulus kappa
     ===============  ================  ==================================
 
-    Other fields have multipliers if the tolerance is given.
+    Fields with a term of their own have multipliers if the tolerance is given.
 
     Args:
         kappa: The user's κ, or None.

@@ -48,9 +48,9 @@ from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.scalars.couplings import check_couplings, coupling_works, refuse_condensed_fields
 from dolfinx_feti.scalars.equations import Coupling
 
-#: Default share of the volume change under the penalty that multipliers leave. The penalty is 30
-#: times as stiff as the body and changes u by about 1/30, so that 1e-6 of its volume change is 3e-8
-#: of u: about the tolerance of the linear solves, 1e-8.
+#: Volume change that multipliers leave by default, as a share of that under the penalty alone. The
+#: penalty is 30 times as stiff as the body and changes u by about 1/30. So 1e-6 of its volume
+#: change is 3e-8 of u: about the tolerance of the linear solves, 1e-8.
 LINEAR_VOLUME_TOLERANCE = 1e-6
 
 
@@ -254,7 +254,7 @@ class LinearProblem(TornProblem):
         return np.array(self.unknown.x.array[: self._system.owned])
 
     def solve(self) -> dolfinx.fem.Function | Sequence[dolfinx.fem.Function]:
-        """Assemble, solve, and return u, a list of the solutions of blocks. Collective.
+        """Assemble, solve, and return u; of blocks, the list of solutions. Collective.
 
         Raises:
             ConvergenceError: FETI or the multipliers did not converge.
@@ -271,8 +271,8 @@ class LinearProblem(TornProblem):
     def _solve_with_multipliers(self, tolerance: float) -> None:
         """Solve and update the multipliers in turn. Collective.
 
-        The fields of the system are zero, where each solve begins. Between solves they have the
-        values of the solution, which the multipliers are computed from.
+        The fields of the system are zero during each solve. Between solves they hold the solution,
+        from which the multipliers are computed.
 
         Raises:
             ConvergenceError: FETI or the multipliers did not converge.
@@ -298,7 +298,7 @@ class LinearProblem(TornProblem):
             fields.set_values(zero)
 
     def _solve(self, *, assembles_matrix: bool) -> None:
-        """Solve once, and store the solution; its record is appended, of a failed solve, too.
+        """Solve once, and store the solution; append a record, even if the solve fails.
 
         Args:
             assembles_matrix: Whether to assemble the matrix; if not, the last one is used.
@@ -352,8 +352,9 @@ class LinearProblem(TornProblem):
     def _solve_from_zero(self, r: Array) -> Array:
         """Solve A u + B s = −r and the equations of s, with u stored in ``x``. Collective.
 
-        The equations of scalars are linearised at u = 0, s = 0. They are written in the solution
-        (``Forms.scalar_forms``), whose values are replaced by zeros meanwhile.
+        The equations of scalars are linearised at u = 0, s = 0. They are written in the Functions
+        of the solution (``Forms.scalar_forms``), which are therefore zero during the solve and get
+        their values back afterwards.
 
         Args:
             r: Residual at zero, with −g on Dirichlet dofs, (owned,).

@@ -40,8 +40,8 @@ def update_until_met(kinds: Sequence[MultiplierUpdates], solve: Callable[[int], 
 
     Args:
         kinds: The updates of each kind of constraint.
-        solve: Solves with the present multipliers, given the number of updates before; returns True
-            if the state is within the solver's own tolerances.
+        solve: Function of the number of updates so far. It solves with the present multipliers, and
+            returns True if the state is within the solver's own tolerances.
 
     Raises:
         ConvergenceError: There were too many updates, or ``solve`` failed.

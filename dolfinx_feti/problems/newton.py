@@ -57,8 +57,8 @@ from dolfinx_feti.runtime.petsc_errors import garbage_collection_resumed, python
 
 Reason = PETSc.SNES.ConvergedReason
 
-#: Share of the ‖r‖ that Newton's method aims at which a linear solve may leave: a tenth of it
-#: disappears in that of Newton's method. It is a choice, not measured.
+#: Residual that a linear solve may leave, as a share of the ‖r‖ that Newton's method aims at: a
+#: tenth hardly adds to the residual of the next iterate. It is a choice, not measured.
 RESIDUAL_SHARE = 0.1
 
 _ROUNDING_WARNING = (
@@ -72,8 +72,8 @@ _ROUNDING_WARNING = (
 class Newton:
     """Context of a SNES whose iterates are states of a ``System``, with a FETI KSP.
 
-    PETSc calls ``solve`` with vectors alone. What else a solve needs is set by :meth:`prepare`
-    before it, for that solve; what else it returns is an attribute.
+    PETSc calls ``solve`` with vectors alone. :meth:`prepare` sets the further inputs of the next
+    solve; further results are attributes.
 
     Attributes:
         hooks: Functions that a script has set on the SNES.
@@ -213,7 +213,7 @@ class NewtonSolve:
             updated = self._call_update(iterate)
             if updated is not None:
                 iterate = updated
-                needs_step = False  # the estimated error was that of the equations before
+                needs_step = False  # η was estimated for the equations before the update
             target = self._target(iterate, needs_step=needs_step)
             reuses_tangent = leads_to_end(iterate, self.history, target)
             if not reuses_tangent:
@@ -245,7 +245,9 @@ class NewtonSolve:
             raise NewtonFailure(INVERTED_START)
 
     def _judge(self, iterate: Iterate) -> Verdict:
-        """Show ‖r‖ to SNES, and test it by the script's own convergence test or the package's.
+        """Report ‖r‖ to the SNES and its monitors, and test whether the solve ends.
+
+        The test is the script's own, if it has set one, or else the package's.
 
         Raises:
             NewtonFailure: ‖r‖ is NaN or infinite, or there were too many steps.
@@ -329,8 +331,9 @@ class NewtonSolve:
     def _is_rounding(self, iterate: Iterate, floor: float, *, needs_step: bool) -> bool:
         """Return True if r is rounding alone, so that the solve ends.
 
-        A script's own test, a violated constraint, or an error that a step may lower prevents it.
-        At the start only the lower bound of the rounding errors counts: a small load is a load.
+        It is False with a script's own test, while a constraint is violated, and while a step may
+        lower the estimated error. At the start ‖r‖ is compared with the lower bound of the rounding
+        errors, so that a small load is not taken for rounding.
         """
         if iterate.violates_constraints or self._hooks.has_test(self._snes):
             return False
@@ -350,9 +353,9 @@ class NewtonSolve:
     def _step(self, iterate: Iterate, floor: float, *, reuses_tangent: bool) -> Iterate:
         """Compute the next iterate, with a larger shift if no step length is admissible.
 
-        If there is no step length although r is rounding, or with a reused tangent, the same
-        iterate is returned. The next iteration then ends at rounding, or assembles a tangent: the
-        recorded step has no length, which ``tangent_reuse`` does not accept for another reuse.
+        There are two exceptions, in which the same iterate is returned. If r is rounding, the next
+        iteration ends there. If the tangent was reused, the next iteration assembles a new one:
+        ``tangent_reuse`` requires that after a recorded step of length zero.
 
         Args:
             iterate: Where the step begins.
@@ -452,8 +455,8 @@ class NewtonSolve:
     def _end(self, verdict: Verdict) -> Outcome:
         """Return the outcome of a verdict that ends the solve.
 
-        ‖r‖ is small. If the error is too large, rounding leaves it, and the relative tolerance is
-        not said to be met: the reason is the absolute one.
+        ‖r‖ is small. If the estimated error is still too large, rounding limits it. The reason is
+        then that of the absolute tolerance, because the relative one is not met.
         """
         reason = verdict.reason
         if reason < 0:

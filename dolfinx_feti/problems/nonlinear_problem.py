@@ -94,8 +94,9 @@ class NonlinearProblem(TornProblem):
         content: Unknowns, and the Functions and Constants in the forms, which paths store.
         volume_changes: The largest abs(mean J − 1) of a cell after each Newton solve of the last
             :meth:`solve` with a ``volume_tolerance``.
-        contact_violations: The largest penetration, or distance at which a multiplier still pushes,
-            over the size of a cell, after each Newton solve of the last :meth:`solve` with contact.
+        contact_violations: The largest violation of the contact conditions after each Newton solve
+            of the last :meth:`solve` with contact, relative to the size of a cell. A violation is a
+            penetration, or a gap at which a multiplier still pushes.
 
     Further attributes: :class:`TornProblem`.
     """
@@ -178,8 +179,8 @@ class NonlinearProblem(TornProblem):
                 change of the coefficients; one given by ``energy=`` is.
             contacts: Contacts of surfaces with rigid tools (:mod:`dolfinx_feti.contact`), which are
                 added to F, J and the energy.
-            contact_tolerance: Largest penetration, or distance at which a multiplier still pushes,
-                over the size of a cell. The default is invisible in a plot of the cells.
+            contact_tolerance: Largest penetration, or gap at which a multiplier still pushes,
+                relative to the size of a cell. The default is invisible in a plot of the mesh.
             boundary: Conditions on the surfaces of a wall, which ``apply_conditions`` of
                 :mod:`dolfinx_feti.wall` returns: they are added to F, J, the energy and ``bcs``.
             subdomains: Number of subdomains over all processes, or the part of each owned cell;
@@ -404,25 +405,28 @@ class NonlinearProblem(TornProblem):
         give_up_early: bool = False,
         check_cells: bool = True,
     ) -> dolfinx.fem.Function | Sequence[dolfinx.fem.Function]:
-        """Iterate from the present u (and pressure) to the solution, as u was given. Collective.
+        """Solve by Newton's method from the present u and pressure; return u as given. Collective.
 
         With a ``volume_tolerance`` the pressure becomes the multiplier after each Newton solve,
         until the material is incompressible (docs/theory.md, *Multipliers*). A solve begins with
-        λ = p: a state that is restored or read includes its multipliers.
+        λ = p, so that restoring the pressure of a state also restores its multipliers.
 
         Args:
-            reference: A residual norm. ``snes_rtol`` refers to it if it is smaller than the norm at
-                the start. Paths pass :meth:`residual_norm` of the last equilibrium under the new
-                load, because a predicted state may begin with a norm larger by orders of
-                magnitude. NaN is ignored.
+            reference: Residual norm that ``snes_rtol`` refers to, unless the norm at the start is
+                smaller. Paths pass :meth:`residual_norm` of the last equilibrium under the new
+                load: the norm at a predicted state may be larger by orders of magnitude. None and
+                NaN have no effect.
             first_tangent: What :meth:`linearise` has returned: the first step uses that tangent. If
-                not given, and in problems with contacts, it uses that of the present state.
-            renew: Whether to discard FETI's preconditioner and its Ritz vectors. If not, those of
-                the last solve are used for as long as ``-feti_lag`` allows: faster if the state has
-                changed little, but u then depends on earlier solves, within the tolerance.
-            give_up_early: Whether to end at once if step lengths stay below 0.1, or if the first
-                tangent is indefinite at a start that is worse than the last equilibrium: a shorter
-                increment is cheaper then (``iteration.early_end``).
+                it is not given, or the problem has contacts, the first step uses the tangent of the
+                present state.
+            renew: Whether to discard FETI's preconditioner and its Ritz vectors first. If False,
+                those of the last solve are reused for as long as ``-feti_lag`` allows. That is
+                faster if the state has changed little; u then depends on earlier solves, within the
+                tolerance.
+            give_up_early: Whether the solve fails as soon as step lengths stay below 0.1, or the
+                first tangent is indefinite at a start whose residual exceeds ``reference``. Use it
+                if you can retry with a shorter increment, which is cheaper
+                (``iteration.early_end``).
             check_cells: Whether to check the cells of the solution, as :meth:`warn_of_cells` does.
                 Paths do so in each state that they accept.
 

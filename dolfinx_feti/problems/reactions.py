@@ -6,14 +6,14 @@ r"""Force and moment that the surroundings exert on a body through a surface Γ.
 .. math:: f_i = F(u; φ_i)\, [\text{Γ supports } i] - F_Γ(u; φ_i), \qquad
           R = \sum_i f_i, \qquad M = \sum_i (x_i - x_0) × f_i
 
-F is the residual, internal minus external forces, and F_Γ its integrals over Γ: pressures,
-tractions, springs. R sums the reactions of the supports on Γ and the loads on Γ, with the problem's
-quadrature. Over the whole boundary, R balances the body forces in equilibrium: the constant field
-is in the space, and F vanishes on free dofs.
+[·] is 1 if the statement holds, else 0. F is the residual, internal minus external forces, and F_Γ
+its integrals over Γ: pressures, tractions, springs. R sums the reactions of the supports on Γ and
+the loads on Γ, with the problem's quadrature. Over the whole boundary, R balances the body forces
+in equilibrium: the constant field is in the space, and F vanishes on free dofs.
 
-Γ supports a Dirichlet dof that lies on it. At an edge between surfaces, only those support it that
-have a facet with all dofs prescribed: the reaction at the edge of a clamped end is not counted as
-one of the loaded side that meets it there.
+Γ supports the Dirichlet dofs that lie on it. A dof on an edge lies on several surfaces: only those
+support it that have a facet there with all dofs prescribed, if there is such a facet at all. So the
+reaction at the edge of a clamped end does not count for the loaded side that ends there.
 """
 
 from __future__ import annotations

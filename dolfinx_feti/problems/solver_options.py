@@ -31,8 +31,8 @@ BOUNDS_TEXT = (
     "snes_type vinewtonrsls."
 )
 
-#: Options that set the accuracy of linear solves. If one is given, Newton's method does not solve
-#: less accurately than it says, even where a step would not need it.
+#: Options that set the accuracy of linear solves. If one is given, all linear solves of Newton's
+#: method have that accuracy, even if a step does not need it.
 LINEAR_TOLERANCE_OPTIONS = ("ksp_rtol", "ksp_atol", "snes_ksp_ew")
 
 #: Prefixes of options of solvers that are not used here.

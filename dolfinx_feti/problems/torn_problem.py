@@ -58,7 +58,7 @@ class Balance(NamedTuple):
 
     residual: Array  # F(u; φ_i) at the present state, reactions on Dirichlet dofs, (owned,)
     form: ufl.Form  # F
-    is_deformed: bool  # do forces act at deformed positions?
+    is_deformed: bool  # True if forces act at deformed positions
 
 
 class TornProblem:
@@ -71,7 +71,7 @@ class TornProblem:
         A: The torn matrix; ``A.mult`` is the assembled operator.
         b: The right-hand side of a linear problem; the residual r of the last iterate of a
             nonlinear one, with the fields condensed into it.
-        x: The last solution or iterate, without ghosts, as ``b``; u has its own memory.
+        x: The last solution or iterate, without ghosts, like ``b``; a copy of the values of u.
         P_mat: None: FETI's preconditioner is not a matrix.
         preconditioner: None, likewise.
         decomposition: Subdomain of each owned cell.
@@ -118,9 +118,9 @@ class TornProblem:
         Args:
             forms: Forms, which have been checked.
             bcs: Dirichlet conditions, which have been checked.
-            name: Of the problem class; begins the default prefix of its options.
+            name: Name of the problem class, with which the default prefix of options begins.
             scalars: Scalar unknowns with their equations.
-            before_assembly: Called before each assembly at a new state; None of a linear problem.
+            before_assembly: Called before each assembly at a new state; None in a linear problem.
             options: The other arguments of both problem classes.
 
         Raises:
@@ -208,8 +208,8 @@ class TornProblem:
         clamped surfaces share counts for each of them: pass both at once for their sum.
 
         Forces act at deformed positions if the unknown is a displacement in large deformation, and
-        else at reference positions. The deformation is taken for large if F contains a determinant
-        or an inverse of the deformation gradient.
+        else at reference positions. The deformation counts as large if F contains a determinant or
+        an inverse of the deformation gradient.
 
         Args:
             facets: Facets of the surface on this process, owned ones and ghosts, such as

@@ -33,7 +33,7 @@ VOLUME_TOLERANCE = 1e-8
 def create_volume_multipliers(
     system: System, *, kappa: float | None, volume_tolerance: float | None, default_tolerance: float
 ) -> float | None:
-    """Choose the modulus of incompressible fields, and create multipliers if there are to be any.
+    """Choose the modulus of incompressible fields, and create multipliers if they have a tolerance.
 
     Collective.
 
@@ -102,8 +102,8 @@ def set_multipliers_to_pressure(system: System) -> float:
     """Set λ to the pressure p of the present state. Collective.
 
     Returns:
-        The largest abs(mean J − 1) of a cell, if p has solved its equation with the λ before: that
-        is J − 1 = (p − λ)/κ, so that the change of λ measures the volume.
+        The largest abs(mean J − 1) of a cell, provided that p solves its equation with the previous
+        λ. Then J − 1 = (p − λ)/κ, and the change of λ measures the volume.
     """
     return set_multipliers(system, system.state.values().p)
 

@@ -25,8 +25,8 @@ from dolfinx_feti.runtime.collective import on_all
 class DeformationGradient:
     """The deformation gradient and the volume ratio that every iterate keeps positive.
 
-    The ratio is det F, or another expression that the user has given by ``volume_ratio=``; the
-    factor c is read off F then, if the expression contains one.
+    The ratio is det F, or another expression that the user has given by ``volume_ratio=``. If that
+    expression contains an F, the factor c is taken from it.
     """
 
     def __init__(

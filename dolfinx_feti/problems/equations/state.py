@@ -81,7 +81,7 @@ class State:
     def values(self) -> StateValues:
         """Return a copy of the values.
 
-        With a mixed element of one the user's Function has the present values, and u gets a copy.
+        For a mixed element of one, u is first set to the values of the user's Function.
         """
         self._copy_from_mixed()
         p = self.condensation.values() if self.condensation else np.zeros(0)
@@ -103,7 +103,7 @@ class State:
     def call_before_assembly(self) -> None:
         """Call ``before_assembly`` at the present state. Collective.
 
-        Use it where a user may have set the state since the last call, by his Functions.
+        Use it where the user may have changed the Functions since the last call.
         """
         self._copy_from_mixed()
         if self._before_assembly is not None:

@@ -42,8 +42,8 @@ from dolfinx_feti.scalars.system import ScalarSystem
 class Residual:
     """The residual at one state.
 
-    Its forces and its lengths, the gaps of Dirichlet dofs, are two arrays: a norm of both together
-    would depend on the units.
+    Forces and the gaps of Dirichlet dofs, which are lengths, are separate arrays: a norm of both
+    together would depend on the units.
 
     Attributes:
         condensed: r, forces with the fields condensed into them, zero on Dirichlet dofs, (owned,).
@@ -203,9 +203,9 @@ class System:
 
         .. math:: r = r_u - \hat K_{up} \hat K_{pp}^{-1} r_p
 
-        Hats denote blocks of the state where the matrix was assembled. A step with them is one of
-        the mixed problem with an older tangent. With the present K_up and K_pp instead, the
-        condensed matrix would not fit them, and the error of a step would be of the size κ ‖ΔU‖².
+        Hats denote blocks of the state where the matrix was assembled. A step with them is a step
+        of the mixed problem with an older tangent. The present K_up and K_pp would not match the
+        condensed matrix, and the error of a step would be of the size κ ‖ΔU‖².
         """
         if self.condensation is None or residual.blocks is None or self.tangent.blocks is None:
             return residual
@@ -223,7 +223,7 @@ class System:
             residual: Residual at this state, if it is known: its blocks are not assembled again.
 
         Returns:
-            Identity of the tangent; it is lost at the next assembly.
+            Identity of the tangent, which is valid until the next assembly.
         """
         if residual is None:
             self.state.call_before_assembly()

@@ -66,8 +66,8 @@ class TornTangent:
         self._K = assembly.create_local_matrix(space, compiler)
         self._diagonal_places = diagonal_places(self._K.mat)  # in the values of K; none is missing
         self.diagonal: Array = np.zeros(len(self._diagonal_places))
-        #: The user's null space of A while a shift is in the matrix, which is regular then; else
-        #: None, and A has its null space itself.
+        #: The user's null space while A has a shift and is therefore regular; else None, and the
+        #: null space is attached to A.
         self._detached_null_space: PETSc.NullSpace | None = None
         self.A = create_torn_matrix_on(space, self._K.mat, [], self.diagonal, forms.symmetric)
         if condensation is not None:

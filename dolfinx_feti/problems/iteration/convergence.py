@@ -5,9 +5,10 @@ r"""When Newton's method has converged, by the residual (docs/theory.md).
 
 .. math:: \|r\| ≤ \max(\texttt{snes\_rtol}\, \max(\|r^0\|, \|f\|/10),\; \texttt{snes\_atol})
 
-over the free dofs, once all constraints are met (Dirichlet values and scalar equations). A load
-begins with a residual r⁰. A prescribed displacement begins without one, and is judged by the
-reactions f, the forces that supports, scalars or contacts exert.
+over the free dofs, once all constraints are satisfied (Dirichlet values and scalar equations). A
+solve for a new load starts with a residual r⁰ of the size of that load. A solve for a prescribed
+displacement starts without such a residual. Its residuals are compared with the reactions f, the
+forces that supports, scalars or contacts exert.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.iteration.failures import CRAWLING, NewtonFailure
 from dolfinx_feti.problems.iteration.iterate import Iterate, Start
 
-#: Number of consecutive steps, each shorter than the step length below, after which a solve is said
-#: to crawl. One such step alone is common where a contact begins.
+#: Number of consecutive steps, each shorter than the step length below, after which a solve counts
+#: as crawling. A single such step is common where a contact begins.
 CRAWLING_STEPS = 2
 
 #: Step length α below which a step is short. Two steps of a tenth leave four fifths of the way, for
@@ -29,17 +29,17 @@ CRAWLING_LENGTH = 0.1
 class EarlyEnd:
     """The rules of one solve: none unless ``is_allowed``."""
 
-    is_allowed: bool  # can the caller try another start, or a smaller load step?
-    refuses_first_tangent: bool  # does the solve fail if the first tangent is indefinite?
+    is_allowed: bool  # the caller can try another start or a smaller load step
+    refuses_first_tangent: bool  # an indefinite first tangent ends the solve
 
     @classmethod
     def of(cls, start: Start, first: Iterate) -> EarlyEnd:
         """Return the rules for a solve with this start and first iterate.
 
-        A first iterate is suspect if its residual is larger than that of the last equilibrium, and
-        the tangent is assembled there and not taken from that equilibrium. An indefinite tangent
-        then ends the solve. Without this rule a tube takes 34 Newton steps instead of 28 to
-        200 mmHg, if the first load step is half of it.
+        A first iterate is suspect if its residual is larger than that of the last equilibrium under
+        the new load, and its tangent is not that of the last equilibrium. An indefinite tangent
+        then ends the solve. Without this rule a tube takes 34 Newton steps instead of 28 to 200
+        mmHg, if the first load step is half of it.
         """
         is_suspect = start.tangent is None and first.norm > start.reference_norm
         return cls(start.allows_early_end, start.allows_early_end and is_suspect)

@@ -27,10 +27,10 @@ class Start:
     #: Upper bound of the ‖r⁰‖ that the relative tolerance refers to, such as ‖r‖ of the last
     #: equilibrium under the new load.
     reference_norm: float = np.inf
-    follows_equilibrium: bool = False  # does the caller come from an equilibrium, as on a path?
-    tangent: TangentId | None = None  # of the first step, in the matrix already; else assembled
+    follows_equilibrium: bool = False  # True on a path: the caller comes from an equilibrium
+    tangent: TangentId | None = None  # of the first step, already in the matrix; None: assemble it
     is_intermediate: bool = False  # ends at a tenth of ‖r⁰‖, as multipliers change afterwards
-    allows_early_end: bool = False  # can the caller try another start, or a smaller load step?
+    allows_early_end: bool = False  # the caller can try another start or a smaller load step
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Iterate:
     residual: Residual  # r(U^k)
     norm: float  # ‖r‖ over the free dofs
     reaction_norm: float  # the largest norm of the forces of supports, of scalars, of a contact
-    violates_constraints: bool  # does u miss a Dirichlet value, or a scalar its equation?
+    violates_constraints: bool  # a Dirichlet value or a scalar equation is not satisfied
 
 
 def evaluate(system: System, residual: Residual) -> Iterate:
@@ -63,7 +63,7 @@ def _reaction_norm(system: System, residual: Residual) -> float:
 
 
 def _violates_constraints(system: System, residual: Residual) -> bool:
-    """Return True if u misses a Dirichlet value, or a scalar equation is not satisfied.
+    """Return True if a Dirichlet value or a scalar equation is not satisfied.
 
     The answer is the same on all processes. Collective.
     """
@@ -86,7 +86,8 @@ class Direction:
     shift: float  # σ of its tangent
     iterations: tuple[int, ...]  # Krylov iterations of each linear solve
     indefinite: int | None  # proved number of negative eigenvalues of the tangent without a shift
-    #: Was ΔU·r < 0 required? If not, ΔU may lead up the potential, which then does not judge it.
+    #: Whether ΔU·r < 0 was required. If not, ΔU may lead uphill, and the potential is not used to
+    #: accept the step.
     is_descent: bool
 
     @property

@@ -6,8 +6,8 @@ r"""The states U + α ΔU along a direction, and the work of the free forces alo
 .. math:: g(α) = ΔU_f · r_f(U + α ΔU), \qquad g_0 = ΔU_f·(r_f + K_{fD}\, ΔU_D)
 
 f are the free dofs and D the Dirichlet dofs; r_f(U + α ΔU) are forces before fields are condensed
-into them. g_0 is g(0) if no prescribed displacement moves; if one does, it is the work of the
-forces that the free dofs feel before they follow.
+into them. If no prescribed displacement moves, g_0 is g(0). If one does, g_0 is the work of the
+forces on the free dofs after the Dirichlet dofs have moved, and before the free dofs have.
 
 With scalars the force B Δs of their increments does work as well, and ΔU alone need not lead
 downhill. Then :math:`g_0 = -|ΔU_f·(r_f + K_{fD} ΔU_D)| - |ΔU_f·B Δs|`, the size of both works.
@@ -30,7 +30,7 @@ class Trial:
 
     alpha: float
     residual: Residual  # that at α = 0 if a cell is inside out
-    ratio: float = np.nan  # g(α)/g_0; nan if a cell is inside out, 0 if g_0 is
+    ratio: float = np.nan  # g(α)/g_0; nan if a cell is inside out, 0 if g_0 = 0
     is_accepted: bool = False
     potential: float = np.nan  # Π; nan if it was not evaluated
 

@@ -3,14 +3,14 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Searches for the step length α along a Newton direction ΔU (docs/theory.md).
 
-α is one unless the trial state turns a cell inside out, has a NaN, or is not accepted
-(``step_test``). SNES's ``cp`` and ``bt`` do not watch det F, add lengths u − g to forces, and know
-no Π.
+α is one unless the trial state has a cell inside out or a NaN, or is not accepted (``step_test``).
+PETSc's own searches ``cp`` and ``bt`` are not used: they do not check det F, they add the lengths
+u − g of Dirichlet dofs to forces, and they do not evaluate Π.
 
-A further line search is a class in this file, with the two methods of :class:`LineSearch`, and an
-entry in ``SPECIAL_SEARCHES``. It chooses among the states of a :class:`Line` by any criterion: the
-acceptance of ``step_test`` is an argument that it may ignore, and :func:`shortened` serves any
-search whose whole step leaves det F > 0.
+A further line search is a class in this file with the two methods of :class:`LineSearch`, and an
+entry in ``SPECIAL_SEARCHES``. It moves the state along a :class:`Line` by any criterion. It may
+accept trials by ``step_test``, or ignore that and set ``Trial.is_accepted`` itself. If its first
+trial is not accepted, it can pass that trial to :func:`shortened`.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ import numpy as np
 from dolfinx_feti.problems.iteration.line import Line, Trial
 from dolfinx_feti.problems.iteration.step_test import OVERSHOOT, StepTest
 
-#: Shortest α that is tried where shorter ones may leave det F > 0: ten halvings. A path halves its
-#: load step at that length.
+#: Shortest α that is tried after a trial with a cell inside out or a NaN: ten halvings. The search
+#: then fails, and a path halves its load step.
 SHORTEST = 1.0 / 1024
 
-#: Longest α of a shifted step, after four doublings. The next step begins with σ/16 (``shifts``),
-#: which lengthens a step that σ dominates by as much.
+#: Longest α of a shifted step: four doublings. The next step begins with σ/16 (``shifts``). If σ
+#: dominates the matrix, that lengthens the next step by the same factor.
 LONGEST = 16.0
 
 #: Largest number of trials of a step that overshoots: a first tangent can be too soft by many
-#: orders, and each trial shortens at most tenfold. A bound, not measured.
+#: orders of magnitude, and each trial shortens at most tenfold. A bound, not measured.
 MAX_TRIALS = 40
 
 #: After a step that overshoots, a trial with g(α)/g_0 below minus this value is still too long. The
@@ -67,9 +67,10 @@ class LineSearch(Protocol):
             test: The package's acceptance of trials.
 
         Returns:
-            The trial where the state is: the last one of ``line.move``, perhaps through
-            ``test.judge``, or that of ``line.stay`` if no step length is admissible. A trial that
-            is not accepted counts as an overshoot of a body in contact (``overshoots``).
+            The trial where the state is: the last one of ``line.move``, passed through
+            ``test.judge`` or not; that of ``line.stay`` if no step length is admissible. A step
+            with α > 0 is taken even if its trial is not accepted. It then counts as an overshoot,
+            if the body is in contact (``overshoots``).
         """
 
 
@@ -86,14 +87,14 @@ class Shortening:
 
 
 class WholeStep:
-    """The whole step for a body in contact, wherever it ends, if its forces are finite."""
+    """The whole step for a body in contact, wherever it ends, if the forces there are finite."""
 
     def serves(self, line: Line) -> bool:
         """Return True if the step may overshoot."""
         return line.allows_overshoot
 
     def search(self, line: Line, test: StepTest) -> Trial:
-        """Move by ΔU; shorten a step that leaves det F > 0."""
+        """Move by ΔU; shorten the step only if a cell is inside out or a force is not finite."""
         trial = test.judge(line.move(1.0))
         if np.isfinite(trial.ratio):
             return trial
@@ -145,7 +146,9 @@ def find_step_length(line: Line, test: StepTest) -> Trial:
 
 
 def shortened(line: Line, test: StepTest, trial: Trial) -> Trial:
-    """Shorten a step until it is accepted; once it has overshot, up to the zero of g. Collective.
+    """Shorten a step until it is accepted. Collective.
+
+    A step that has overshot is shortened further, until it ends close to the zero of g.
 
     Args:
         line: The line.

@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """How often a step of a body in contact may overshoot.
 
-Which points touch a tool is found by whole steps, and hardly by short ones. So steps may end
-anywhere, as long as ‖r‖ falls below all earlier ones now and then.
+Whole steps find the points that touch a tool; short steps hardly do. A whole step may therefore end
+anywhere, but only a limited number of times before ‖r‖ falls below all its earlier values.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dolfinx_feti.problems.equations.system import System
 from dolfinx_feti.problems.iteration.iterate import Direction
 from dolfinx_feti.problems.iteration.line import Trial
 
-#: Number of consecutive steps with contact that may overshoot before ‖r‖ falls below all before: a
+#: Number of consecutive steps with contact that may overshoot before ‖r‖ reaches a new minimum: a
 #: set of touching points that spreads over a thin body takes up to ten. At 0 a ring between plates
 #: takes 29 load steps instead of 13; at 24 a solve that fails only fails later.
 MAX_OVERSHOOTS = 12

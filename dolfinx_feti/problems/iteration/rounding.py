@@ -6,8 +6,8 @@ r"""Rounding errors of Newton's residual, the floor that no step can get below (
 .. math:: ε\, \Bigl\| \Bigl(\sum_j k_{ij}^2 (u_j^2 + \hat h_j^2)\Bigr)^{1/2} \Bigr\|
 
 k_ij are the entries of the torn tangent. In F = I + c Grad u (``deformation_gradient``) the entries
-1 of I are rounded by ε, as c Grad u would be by a displacement of the size ĥ = h/c, with the size h
-of a cell.
+1 of I are rounded by ε. This has the effect of rounding a displacement of the size ĥ = h/c, with
+the size h of a cell.
 """
 
 from __future__ import annotations

@@ -6,9 +6,9 @@ r"""The directions of Newton's method: shifts of the tangent that lead downhill 
 .. math:: (K' + σ \operatorname{diag}|k|)\, ΔU = -r
 
 With a potential, σ grows until no negative eigenvalue can be proved any more and ΔU leads downhill,
-ΔU·r < 0: the plain Newton step would converge to a saddle point as readily as to a minimum, and
-states of equilibrium that bodies assume are minima. A singular tangent counts as indefinite.
-Without a potential shifts are tried only if the solve without one fails.
+ΔU·r < 0. Plain Newton steps converge to saddle points as readily as to minima, and the equilibria
+that a body assumes are minima. A singular tangent counts as indefinite. Without a potential, shifts
+are tried only if the solve without a shift fails.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ KSPReason = PETSc.KSP.ConvergedReason
 #: steepest descent, scaled by the diagonal.
 SHIFTS = (0.0, *(1e-4 * 4.0**k for k in range(-1, 8)))
 
-#: Level of the first shift that is tried, σ = 1e-4. The level below it, σ = 2.5e-5, is reached only
-#: by a step after one with a larger shift.
+#: Level of the first shift that is tried, σ = 1e-4. The level below it, σ = 2.5e-5, is used only in
+#: a step that follows one with a larger shift.
 FIRST_LEVEL = 2
 
 #: Number of steps with an indefinite tangent, after those that moved prescribed values, whose
@@ -60,7 +60,7 @@ class Attempt:
     """A shift to try."""
 
     level: int  # of SHIFTS
-    #: Must ΔU lead downhill? If not, the tangent may be indefinite, too.
+    #: Whether ΔU has to lead downhill. If not, the tangent may also be indefinite.
     requires_descent: bool
 
     @property
@@ -174,6 +174,9 @@ class ShiftedDirections:
     def _attempts(self, iterate: Iterate) -> list[Attempt]:
         """Return the shifts to try, in their order.
 
+        The *plain solve* has no shift, accepts an indefinite tangent, and need not lead downhill.
+        The *shifts* begin at the level that the last step has chosen, which may be no shift.
+
         ============  =======================  ====================================================
         potential     constraints              attempts
         ============  =======================  ====================================================
@@ -183,9 +186,6 @@ class ShiftedDirections:
         no            met, early end allowed   the plain solve alone: a load step is cheaper
         no            met                      the plain solve, then the shifts
         ============  =======================  ====================================================
-
-        The plain solve has no shift, accepts an indefinite tangent, and need not lead downhill. The
-        shifts begin with that of the last step, which may be none.
         """
         has_potential = self._system.has_potential
         plain = Attempt(0, requires_descent=False)
@@ -250,7 +250,7 @@ class ShiftedDirections:
         self.lacks_support = is_singular and self._system.has_contacts
 
     def _choose_next_level(self, attempt: Attempt) -> None:
-        """Choose the level where the next step begins: σ/16, or σ/4 if σ had to grow."""
+        """Choose the level where the next step begins: σ/16, or σ/4 if σ had to grow now."""
         has_grown = attempt.level > self._level
         self._level = max(0, attempt.level - (1 if has_grown else 2))
 

@@ -6,9 +6,9 @@ r"""When Newton's method has converged, by the estimated error of the state (doc
 .. math:: ΔU ≈ -M r(U), \qquad
           η = \max_c \frac{\|ΔU_c\|}{(\|U_c\|^2 + \|U_c - U^0_c\|^2)^{1/2}}
 
-by one application of the preconditioner of the last tangent (``feti.accuracy`` has the components
-c and their sizes). It shows an error that a residual hides, which is small only in comparison with
-the forces of a penalty. Scalars s count likewise, each relative to its own size.
+by one application M of the preconditioner of the last tangent (``feti.accuracy`` has the components
+c and their sizes). A residual can be small compared with the forces of a penalty although u is
+still wrong; η shows that error. Scalars s are included, each relative to its own size.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from dolfinx_feti.runtime.collective import warn
 
 Reason = PETSc.SNES.ConvergedReason
 
-#: Factor by which a step has to lower η for another one to follow. Rounding leaves about as much
-#: after each step. It is a choice, not measured.
+#: Factor by which a step has to lower η for another one to follow. If rounding limits η, each step
+#: leaves about as much. It is a choice, not measured.
 GAIN = 0.5
 
 #: Estimated error that a linear solve may leave of ΔU: the next step removes it. Between 1e-4 and
@@ -39,13 +39,13 @@ GAIN = 0.5
 #: stiff penalty each Newton step lowers the error of U by this factor only.
 LINEAR_ERROR = 1e-3
 
-#: Share of the tolerance of U that a linear solve may leave as error: a tenth of it disappears in
-#: the error of Newton's method. It is a choice, not measured.
+#: Error that a linear solve may leave, as a share of the tolerance of U: a tenth hardly adds to the
+#: error of Newton's method. It is a choice, not measured.
 ERROR_SHARE = 0.1
 
 #: Multiple of the last floor of rounding below which the error is estimated although ‖r‖ does not
-#: end the solve. The floor of a state is known only with its tangent; that of the state before is
-#: taken for it, and ten allows for the change of the tangent in one step.
+#: end the solve. The floor of the present state would need its tangent. That of the state before is
+#: used instead, and the factor of ten allows for the change of the tangent in one step.
 FLOOR_MULTIPLE = 10.0
 
 _ROUNDED_ERROR = (
@@ -95,8 +95,8 @@ class StateError:
     def needs_step(self) -> bool:
         """Whether a step has to follow although ‖r‖ would let the solve end.
 
-        It has to if η is too large and the last step has lowered it. Otherwise rounding leaves the
-        rest.
+        That is so if η is too large, unless the last step has hardly lowered it: rounding leaves
+        the rest. It is also so if η is unknown because no linear solve with scalars came before.
         """
         if self._lacks_scalar_solve:
             return True

@@ -6,9 +6,9 @@ r"""Is the tangent J the derivative of the residual? A difference quotient decid
 .. math:: q = \frac{r(U + h d) - r(U - h d)}{2 h}, \qquad \|q - J d\| > 5 e, \qquad
           e = \frac{\|r(U + h d) - 2 r(U) + r(U - h d)\|}{2 h}
 
-along the last step d. A derived J has all terms and the right sign, but F may have a kink, or data
-that change with u. ``-snes_test_jacobian`` takes a quotient for each dof, ignores condensed fields,
-and only prints.
+along the last step d. A J that UFL has derived has all terms and the right sign, but F may have a
+kink, or data that change with u. PETSc's ``-snes_test_jacobian`` takes a quotient for each dof,
+ignores condensed fields, and only prints.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ MISMATCH_FACTOR = 5.0
 #: h |d| over |u|, of the largest entries: the best for a central difference quotient, ε^⅓.
 RELATIVE_STEP = float(np.cbrt(np.finfo(float).eps))
 
-#: |cos| of the angle between d and q − J d below which the two are orthogonal: above rounding, and
-#: below what other mismatches leave.
+#: |cos| of the angle between d and q − J d below which the two count as orthogonal: above rounding,
+#: and below the values of other mismatches.
 ORTHOGONAL_COSINE = 1e-4
 
 #: Share of ‖r‖ by which r at the same state has to change for a coefficient to be the cause. It is
@@ -119,11 +119,15 @@ class Finding:
 
 
 class TangentCheck:
-    """Compares J with the derivative when something is wrong with a solve.
+    """Comparison of J with the derivative when something is wrong with a solve.
 
-    That is once after slow steps, or else after a failure; and, if J is the user's, after the first
-    suspect step of all solves, which had to be shifted, or along which d·r has grown. No more
-    comparisons follow one that finds a mismatch.
+    J is compared
+
+    * at most once in each solve, after slow steps, or else after a failure;
+    * once in all solves, if J is the user's, after the first suspect step: one that had to be
+      shifted, or along which d·r has grown.
+
+    No comparison follows one that has found a mismatch.
 
     Attributes:
         findings: The mismatch that was found in this or an earlier solve; empty if none was.
@@ -133,10 +137,10 @@ class TangentCheck:
         """Create the check of a system, for all its solves."""
         self.findings: list[Finding] = []
         self._system = system
-        self._is_sign_checked = False  # has J been compared after a suspect step, in any solve?
+        self._is_sign_checked = False  # True once J was compared after a suspect step
         self._last_du: Array = np.zeros(system.owned)  # of this solve
-        self._has_suspect_step = False  # in this solve, not compared yet
-        self._is_slow_checked = False  # has J been compared after slow steps of this solve?
+        self._has_suspect_step = False  # in this solve, and J was not compared since
+        self._is_slow_checked = False  # True once J was compared after slow steps
 
     def begin(self) -> None:
         """Prepare the check for a solve."""
@@ -291,7 +295,7 @@ def _kink(system: System) -> str:
 
 
 def _step_size(system: System, d: Array) -> float | None:
-    """Return h of the difference quotient along d, (owned,); None if d is 0 or no number."""
+    """Return h of the difference quotient along d, (owned,); None if d is zero or not finite."""
     largest_u = max_norm(system.comm, system.state.values().u)
     largest_d = max_norm(system.comm, d)
     size = max(largest_u, largest_d)  # u may be zero

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Forms in blocks: taken apart, and without part numbers.
+"""Blocks of forms: splitting of forms on mixed spaces, and removal of part numbers.
 
 A form on a ``ufl.MixedFunctionSpace`` has arguments with part numbers; block (i, j) is its part
 with the test function of space i and the trial function of space j.

@@ -26,7 +26,7 @@ def torn_unknown(spaces: Sequence[dolfinx.fem.FunctionSpace], name: str, forms: 
     Args:
         spaces: Spaces of the unknowns, without real ones.
         name: Name of the argument, for the message.
-        forms: Forms of the problem, which the message depends on.
+        forms: Forms of the problem, by which the message chooses its advice.
 
     Raises:
         ValueError: There is no such unknown, or there are several.
