@@ -3,12 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Classical and all-floating FETI for a torn matrix; uses PETSc, and no finite elements.
 
-The paper, [1] in all files: C. M. Augustin, G. A. Holzapfel, O. Steinbach, Classical and
-all-floating FETI methods for the simulation of arterial tissues, International Journal for
-Numerical Methods in Engineering (IJNME) 99, 2014.
+The paper: C. M. Augustin, G. A. Holzapfel, O. Steinbach, Classical and all-floating FETI methods
+for the simulation of arterial tissues, International Journal for Numerical Methods in Engineering
+(IJNME) 99, 2014. In all files, "(eq. n)" is an equation of the paper.
 
 - One solve: ``solver`` (PETSc's callbacks), ``outer_loop`` (refinement on the assembled system),
-  ``dual`` or ``primal`` (the two formulations, whose common interface is ``formulation``).
+  ``dual`` or ``primal`` (the two formulations, whose common interface is ``formulation``). The
+  ``__init__`` of a formulation's folder has the order in which its files are called.
 - Its result: ``solve_info`` (records), ``accuracy`` (estimated error), ``converged_reason``,
   ``report``.
 - Its input: ``options``, ``subsolver_options``, ``solve_settings``, ``krylov_limits``, ``monitor``,

@@ -161,9 +161,13 @@ class ComponentNorms:
         return np.asarray((x.reshape(-1, self.bs) ** 2).sum(axis=0))
 
     def components_of(self, dofs: Integers) -> Integers | None:
-        """Return the component of each torn dof of a list, (n,).
+        """Return the component of each of some torn dofs, in an array of the same length.
 
-        It is None if the dofs are full blocks in order: a reshaped vector has its components then.
+        It is None if the dofs are full blocks in order. The components of a vector are then the
+        columns of the vector reshaped to (blocks, bs).
+
+        Args:
+            dofs: Torn dofs, or interface dofs.
         """
         components = dofs % self.bs
         in_order = np.arange(len(dofs)) % self.bs
@@ -176,7 +180,8 @@ class ComponentNorms:
         Args:
             t: Copies T x, (n,).
             weights: Weights δ, which sum to one over the copies of a dof, (n,).
-            components: Component of each copy, see :meth:`components_of`.
+            components: Component of each copy, or None for full blocks; see
+                :meth:`components_of`.
         """
         squares = weights * t * t
         if components is None:

@@ -140,9 +140,9 @@ class SolverCache:
     def record(self, info: SolveInfo) -> None:
         """Store the Ritz vectors of a solve, and the rate of convergence of a first solve.
 
-        The rate is the number of iterations over that of digits, from one to the larger one of the
-        residual and its tolerance, as in ``Tolerances.iteration_limit``. The residual alone may be
-        far below its tolerance: with a penalty, η ends the solve.
+        The rate is the number of iterations per digit, as in ``Tolerances.iteration_limit``. The
+        number of digits is −log₁₀ of the relative residual, or of its tolerance if that is larger:
+        the residual may be far below its tolerance, because with a penalty η ends the solve.
         """
         accuracy = info.accuracy
         self._ritz_vectors = info.ritz_vectors
@@ -154,14 +154,14 @@ class SolverCache:
             self._rate = info.iterations / -np.log10(residual)
 
     def prepare_retry(self, failed: SolveInfo, *, allow_indefinite: bool) -> bool:
-        """Set up another way to solve after a failure. Collective.
+        """Set up another way to solve after a failure, if there is one. Collective.
 
         Args:
             failed: Outcome of the solve that failed.
             allow_indefinite: Whether to solve if the matrix is indefinite.
 
         Returns:
-            Whether another solve is to follow.
+            Whether it has been set up, so that another solve is to follow.
 
         Raises:
             SetUpError: The other way cannot be set up; there is no formulation then.
@@ -188,7 +188,8 @@ class SolverCache:
 
         The first case that applies determines the way:
 
-        1. CG met negative curvature, and options or caller exclude GMRES in the dual form: none.
+        1. CG met negative curvature, and the options or the caller exclude GMRES in the dual form:
+           none.
         2. CG met negative curvature with a new preconditioner: the dual form.
         3. The preconditioner was reused: a new one.
         4. The coarse solver of the primal form returned NaN: the dual form, which has another one.

@@ -49,11 +49,13 @@ MAX_ROUNDING_SHARE = 1e-3
 #: choice, not measured.
 LOGGED_ROUNDING_SHARE = 1e-7
 
+#: Warning about an error above :data:`LOGGED_ROUNDING_SHARE`, with the error and its tolerance.
 ERROR_FLOOR_WARNING = (
     "The linear solver ends with an estimated error of %.0e of x, which rounding leaves, above its "
     "tolerance of %.0e: lower a penalty or a jump of the stiffness, or ask for less by ksp_rtol."
 )
 
+#: Cause of ``DIVERGED_NULL``: the load has a part in the null space.
 INCOMPATIBLE_LOAD = (
     "the load is not orthogonal to the null space of A, so that nothing balances it; with "
     "A.setTransposeNullSpace, too, PETSc takes that part out of each load"
@@ -93,7 +95,7 @@ def _is_ended_by_rounding(accuracy: Accuracy) -> bool:
 
 
 def _rounding_share(accuracy: Accuracy) -> float:
-    """Return the larger one of residual and error that rounding leaves; nan if it leaves none."""
+    """Return the larger of the residual and error that rounding leaves; nan if it leaves none."""
     return float(np.fmax(accuracy.residual_floor, _relevant_error_floor(accuracy)))
 
 
@@ -112,7 +114,8 @@ def composed_outcome(info: SolveInfo, error_estimate: float, error_tolerance: fl
     """Return the outcome of a solution that another solver composed of several converged solves.
 
     ``scalars.bordered`` composes one: it eliminates scalar unknowns, and refines the result while
-    that lowers η enough. So an η above its tolerance counts as one that rounding leaves.
+    that lowers η enough. An η that is still above its tolerance thus counts as one that rounding
+    leaves.
 
     Args:
         info: How the first solve ended; it converged.

@@ -27,17 +27,18 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import total_of, warn
 from dolfinx_feti.torn.matrix import Torn
 
-#: Largest distance from one at which the multiple of −A_fD x_D that b_f seems to contain, and the
-#: cosine of their angle, count as one; likewise for a multiple of zero. Loads alone have a multiple
-#: near zero: −A_fD x_D changes from dof to dof, and is larger than the load of a cell by a factor
-#: that grows with 1/h². At half of the tolerance, lifted vectors with larger loads at the supports
-#: would be missed; at twice, some loads would be suspected.
+#: Tolerance of the check, which compares b_f with −A_fD x_D. A vector counts as lifted if b_f
+#: contains −A_fD x_D once: the multiple of it in b_f and the cosine of their angle are one, up to
+#: this tolerance. It counts as not lifted if the multiple is zero, up to this tolerance. Loads
+#: alone have a multiple near zero: −A_fD x_D changes from dof to dof, and is larger than the load
+#: of a cell by a factor that grows with 1/h². At half of the tolerance, lifted vectors with larger
+#: loads at the supports would be missed; at twice, some loads would be suspected.
 MULTIPLE_TOLERANCE = 0.1
 
-#: Smallest ratio (root mean square) of the entries of a lifted vector next to prescribed dofs to
-#: those elsewhere. A load that is one at each dof has the same size at both, and may equal
-#: −A_fD x_D by chance. At half of the ratio, a graded load on a coarse mesh, which is larger at the
-#: supports, could pass for a lifted vector.
+#: Smallest ratio of the entries of a lifted vector next to prescribed dofs to those elsewhere, both
+#: as root mean squares. It excludes a load that equals −A_fD x_D by chance, such as one that is one
+#: at each dof: its entries have the same size everywhere. At half of the ratio, a graded load on a
+#: coarse mesh, which is larger at the supports, could pass for a lifted vector.
 MIN_RATIO = 3.0
 
 #: Warning for a lifted vector if the solver lifts; {0} is the options prefix.
@@ -56,7 +57,7 @@ NEVER_LIFTED = (
 
 
 class RightHandSides:
-    """The right-hand sides of one solver, in the convention that its user has chosen.
+    """The convention of one solver's right-hand sides, and the check of each; it stores no vectors.
 
     Attributes:
         are_lifted: Whether they are lifted already.
@@ -65,7 +66,7 @@ class RightHandSides:
     """
 
     def __init__(self, *, are_lifted: bool, needs_check: bool) -> None:
-        """Choose the convention, see the class."""
+        """Store the convention; the arguments are the attributes of the class."""
         self.are_lifted = are_lifted
         self.needs_check = needs_check
 

@@ -3,10 +3,14 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Options of the solver, read from PETSc's database and checked.
 
-An option ``-<prefix>feti_…`` is a field of :class:`FETIOptions`, with its default; its type
-determines what it may be: a ``Literal`` one of its words, an int a count (:data:`COUNT`), a float a
-share between 0 and 1 (:data:`SHARE`). A new field is read, checked, and proposed for a misspelt
-name; all parts of the solver have it in ``Pattern.options``. docs/options.md explains each.
+An option ``-<prefix>feti_…`` is a field of :class:`FETIOptions`, with its default. Its type
+determines the allowed values: one of the words of a ``Literal``, a count for an int
+(:data:`COUNT`), a share between 0 and 1 for a float (:data:`SHARE`). A new field needs no further
+code to be read, checked, and proposed for a misspelt name. All parts of the solver have it in
+``Pattern.options``. docs/options.md explains each option.
+
+The file has three parts: the options of the solver, checks of the numbers that PETSc reads, and
+proposals for options that are unknown or unread.
 
 Options of PETSc's solvers are checked here, because PETSc reports a wrong one by an error number;
 ``subsolver_options`` has those that this package reads.
@@ -86,8 +90,8 @@ PETSC_NUMBERS = {
     "ksp_fcg_mmax": COUNT,
 }
 
-#: Options of PETSc's KSP, without ``ksp_``, that are proposed for a misspelt name, of the user's
-#: solver and of sub-solvers.
+#: Options of PETSc's KSP, without ``ksp_``, that are proposed for a misspelt name, for the user's
+#: solver and for sub-solvers alike.
 KSP_OPTIONS = ("type", "rtol", "atol", "max_it", "monitor", "converged_reason", "view")
 
 #: Options of PETSc's SNES, without ``snes_``, that are proposed for a misspelt name.
@@ -122,8 +126,8 @@ class FETIOptions:
         coarse_modes: Largest number of soft modes of a subdomain.
         coarse_threshold: Share of the interface stiffness below which a mode is soft.
         coarse_adaptive: Largest number of adaptive columns of a subdomain (primal).
-        lag: Largest age of a preconditioner, in matrices of Newton's method (primal); in the code
-            ``max_age``.
+        lag: Largest age of a preconditioner, in matrices of Newton's method (primal). The solver
+            reads it as ``max_age``.
         deflation: Largest number of Ritz vectors that later solves are deflated by (primal).
     """
 
@@ -172,8 +176,8 @@ def read_options(prefix: str) -> FETIOptions:
         prefix: Options prefix of the KSP.
 
     Raises:
-        ValueError: A value is none of the words or no number of the kind, an option does not exist,
-            or two of them exclude each other.
+        ValueError: An option has a value that is not allowed, an option does not exist, or two
+            options exclude each other.
     """
     check_petsc_options(prefix)
     feti_prefix = f"{prefix}feti_"
@@ -230,8 +234,8 @@ def check_petsc_options(prefix: str) -> None:
         prefix: Options prefix of the KSP.
 
     Raises:
-        ValueError: A number is not of its kind, the dual form does not support the Krylov method or
-            has no norm to test, or ``pc_type`` names a preconditioner of PETSc's.
+        ValueError: A number is not of its kind, the dual form does not support the Krylov method,
+            the method has no norm to test, or ``pc_type`` names a preconditioner of PETSc's.
     """
     for solver in (prefix, f"{prefix}feti_{DUAL_PREFIX}", f"{prefix}feti_{COARSE_PREFIX}"):
         for name, kind in PETSC_NUMBERS.items():
@@ -254,7 +258,7 @@ def _check_dual_method(prefix: str) -> None:
         prefix: Options prefix of the method, ``…feti_dual_``.
 
     Raises:
-        ValueError: One of them is not the case.
+        ValueError: The dual form does not support the method, or it computes no norm.
     """
     options = PETSc.Options(prefix)
     if options.getString("ksp_type", "cg") not in DUAL_METHODS:
@@ -346,18 +350,19 @@ def nearest_option(name: str) -> str | None:
 
 
 def may_be_solver_option(name: str) -> bool:
-    """Return True if an option of the command line may be meant for the solver with a prefix.
+    """Return True if an option under the prefix of a solver may be meant for this solver.
 
-    One prefix may begin with another one: a solver with the prefix ``a_b_`` may be created after
-    that with the prefix ``a_``. For the latter, whether it may be meant:
+    Not all options under a prefix are: another solver may have a longer prefix that begins with
+    this one, and the user's program may have options of its own. For example, for the solver with
+    the prefix ``a_`` beside another one with the prefix ``a_b_``:
 
     - ``-a_ksp_rtol``: yes, an option of this solver;
     - ``-a_b_ksp_rtol``: no, a known option under a longer prefix;
     - ``-a_kps_rtol``: yes, similar to a known option;
-    - ``-a_thickness``: no, nothing that a solver reads.
+    - ``-a_thickness``: no, not similar to any option of a solver.
 
     Args:
-        name: Name of the option without the prefix.
+        name: Name of the option without the prefix of this solver.
     """
     if name.startswith(SOLVER_PREFIXES):
         return True

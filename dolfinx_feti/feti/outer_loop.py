@@ -17,13 +17,21 @@ follows if the last start missed one of the two tolerances but reduced ‖r‖ o
 ``torn.rounding`` estimates the limit of ‖r‖. The loop also ends if the Krylov method fails, if an
 option gives that method a tolerance, and after :data:`MAX_FRESH_STARTS` fresh starts.
 
-What a solution has to meet is in ``_Goal``, and what was measured of it in ``_Iterate``. Three
-tests use them: ``_is_finished`` and ``_has_gained`` decide about another start,
-``_meets_tolerances`` about the converged reason. The Krylov method gets the bounds of ‖r‖ and η as
-arguments ``target`` and ``error_test`` of ``Formulation.solve``.
+What a solution has to meet is in ``_Goal``, and what was measured of it in ``_Iterate``. After a
+start, these questions are answered in this order:
 
-Options of the solver are in ``formulation.pattern.options``; a number below becomes an option by a
-field of ``FETIOptions``.
+- ``_is_better``: is the new iterate the best so far? If not, the loop ends with the one before.
+- ``_is_last_start``: is it good enough (``_is_finished``), or has the start gained too little
+  (``_has_gained``), or has the Krylov method failed, or does an option give it a tolerance? Then
+  the loop ends.
+- ``_meets_tolerances``, after the loop: are both tolerances met? This decides about the converged
+  reason. ``_is_finished`` also accepts a residual that rounding keeps above its tolerance.
+
+The Krylov method gets the bounds of ‖r‖ and η as arguments ``target`` and ``error_test`` of
+``Formulation.solve``. All norms are Euclidean; ``max_norm`` is the largest norm that is allowed.
+
+Options of the solver are in ``formulation.pattern.options``. To turn a number below into an option,
+add a field to ``FETIOptions``.
 
 If a null space Z is attached to A, x and all residuals are orthogonal to Z (``torn.null_space``).
 """
@@ -117,6 +125,7 @@ def solve_assembled(
     with Lifetime() as owned:
         r = owned.own(b.duplicate())
         u_D = np.where(torn.is_dirichlet_copy, torn.tear(b.array_r), 0.0)
+        # x_D is needed for the scale alone: the loop below overwrites x and r.
         x.array[:] = torn.assemble(formulation.delta * u_D)  # x_D
         torn.residual(b, x, r)  # r = b − A x_D
         scale = float(r.norm())
@@ -167,7 +176,7 @@ class _Goal:
 
     Attributes:
         scale: ‖b − A x_D‖, which relative residuals refer to.
-        max_norm: Largest ‖b − A x‖.
+        max_norm: Largest ‖b − A x‖ that meets the tolerances.
         rtol: The same relative to ``scale``; nan if the load is zero.
         error_tolerance: Largest η; infinite if the load is zero.
         second_reference: Reference of η in addition to x (``SolveSettings.loosen``), (N,).
@@ -218,8 +227,8 @@ class _Iterate:
         has_small_residual: Whether ‖b − A x‖ is at its tolerance, or at a level of rounding above
             that, so that no fresh start can reduce it to the tolerance.
         residual_floor: Largest ‖b − A x‖ that counts as rounding, if ‖b − A x‖ misses its
-            tolerance and is at most this floor; else nan.
-        error_estimate: η; nan if it was not measured, as the residual is too large.
+            tolerance and is at most this floor; else nan. ``Accuracy`` has it relative to the load.
+        error_estimate: η; nan if it was not measured because the residual is too large.
         total_error_estimate: η of all components together; nan also if the Krylov method measured
             η.
     """
@@ -245,7 +254,7 @@ class _OuterLoop:
         norms: ComponentNorms,
         settings: SolveSettings,
     ) -> None:
-        """Create a loop, which refers to its arguments.
+        """Store references to the arguments.
 
         Args:
             ksp: The user's solver, for its monitors, residual norm and iteration number.
@@ -269,12 +278,12 @@ class _OuterLoop:
         """Start the Krylov method until x meets the goal, or a start gains too little. Collective.
 
         Args:
-            x: The best solution, (N,), overwritten.
+            x: The best solution, (N,), overwritten; the values that it has are not used.
             r: Work vector for the residual, (N,), overwritten.
             iterations_before: Number of iterations before this solve, for the monitors.
 
         Returns:
-            The outcome; its Ritz values and vectors are those of the first start.
+            The outcome. Its Ritz values and vectors are those of the first start.
 
         Raises:
             SetUpError: Local work in an iteration failed.
@@ -407,7 +416,7 @@ class _OuterLoop:
         return replace(iterate, error_estimate=error_estimate, total_error_estimate=total)
 
     def _with_missing_error(self, best: _Iterate, x: PETSc.Vec, r: PETSc.Vec) -> _Iterate:
-        """Return the best iterate with η, which is measured unless it is known. Collective.
+        """Return the best iterate with its η, which is measured if it is still missing. Collective.
 
         Args:
             best: The best iterate.
@@ -464,9 +473,10 @@ class _OuterLoop:
         return iterate.norm <= previous.norm
 
     def _has_gained(self, iterate: _Iterate, previous: _Iterate) -> bool:
-        """Return True if the last start reduced ‖r‖ or η to :data:`FRESH_START_FACTOR` of it.
+        """Return True if the last start reduced ‖r‖ or η enough for another one to follow.
 
-        If a stiff component dominates ‖r‖, the residual of a soft one shows in η alone.
+        Enough is a factor of :data:`FRESH_START_FACTOR` or less. If a stiff component dominates
+        ‖r‖, the residual of a soft one shows in η alone.
         """
         if iterate.norm <= FRESH_START_FACTOR * previous.norm:
             return True

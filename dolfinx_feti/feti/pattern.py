@@ -126,7 +126,7 @@ def _analyse(
     *,
     is_symmetric: bool,
 ) -> Analysis:
-    """Analyse how the blocks of all subdomains are factored.
+    """Choose whether to eliminate the interior, and create the symbolic factors. Collective.
 
     Factors of K_II are prepared if the preconditioner ``pc_type`` needs them. That of the primal
     form, :data:`PRIMAL_PC_TYPE`, does.
@@ -185,9 +185,9 @@ def _require_primal(options: FETIOptions, subsolvers: SubsolverOptions) -> None:
 def torn_symmetric_part(torn: Torn) -> Iterator[Torn]:
     """Return a context with a torn matrix in which ½ (K + Kᵀ) replaces K. Collective.
 
-    It shares all else with the original, the star forest included: it is not to be destroyed, and
-    serves only within the context. Its subdomains are the same, as ½ (K + Kᵀ) couples the dofs that
-    K couples.
+    The copy shares everything else with the original, such as the star forest. Do not destroy it,
+    or use it outside the context. It has the same subdomains, because ½ (K + Kᵀ) couples the same
+    dofs as K.
     """
     part = copy(torn)
     K = torn.K.copy()

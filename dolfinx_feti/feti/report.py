@@ -41,7 +41,8 @@ class Report:
         coarse_mib: Memory of the factor of the coarse matrix in MiB; None if unknown.
         coarse_inertia: Negative eigenvalues and zero pivots of the coarse matrix; None if unknown.
         factor_mib: Memory of all local factors in MiB.
-        ritz_vectors: Number of Ritz vectors that deflate the solves with the present matrix.
+        ritz_vectors: Number of vectors that deflate the solves with the present matrix: Ritz
+            vectors, or soft fields in a first solve (``Formulation.deflation_count``).
         ritz_vectors_mib: Memory of these vectors in MiB.
         eigenvalues: Ritz values (λ_min, λ_max) of the preconditioned system of the formulation.
         residual: ‖b − A x‖/‖b − A x_D‖ of the last solve; nan before the first one.
@@ -210,7 +211,7 @@ def _condition_number(report: Report) -> str:
 
 
 def _with_floor(value: float, floor: float, reference: str) -> str:
-    """Format residual or error, and the floor of rounding if that has ended the solve.
+    """Format a residual or error, with the floor of rounding if rounding has ended the solve.
 
     Args:
         value: Residual or error, relative to the reference.

@@ -45,8 +45,8 @@ class Inertia:
         local: Sum over the regularised matrices K_ρ of all subdomains.
         defect: Sum over the defects D of all subdomains.
         interior: Sum over the interior blocks K_II; None also if none is factored.
-        assembled: Lower bound for the assembled matrix, which the formulations add when they have a
-            coarse space (``coarse.primal_problem``); None before.
+        assembled: Lower bound for the assembled matrix. The formulations add it when they have a
+            coarse space (``coarse.primal_problem``). Before that, it is None as well.
     """
 
     local: int | None
@@ -93,11 +93,14 @@ def set_up(
 
     Args:
         pattern: All that depends on the pattern.
-        matrix_objects: Owner of S.
-        preconditioner_objects: Owner of K⁺.
+        matrix_objects: Owner of S, which destroys it.
+        preconditioner_objects: Owner of K⁺, which destroys it.
         is_primal: Whether K⁺ is for the primal form, which uses it as a preconditioner only. Then
             factors may be in single precision, and the coarse space may have adaptive columns,
             which reduce the number of soft modes.
+
+    Returns:
+        The parts; the inertia lacks ``assembled``.
 
     Raises:
         SetUpError: A factorisation failed, or the matrix is singular inside of a subdomain.
@@ -210,7 +213,7 @@ def require_regular_interior_blocks(pattern: Pattern, operator: SchurOperator) -
 
 
 def require_valid_matrix(torn: Torn) -> None:
-    """Check that the present matrix is finite, and its null space one of it. Collective.
+    """Check that the matrix is finite, and that A Z = 0 for an attached null space Z. Collective.
 
     Raises:
         SetUpError: The matrix has entries that are NaN or Inf, or the vectors that the user has

@@ -45,7 +45,7 @@ class DeflationVectors:
 
 @dataclass(frozen=True, slots=True)
 class MeasuredError:
-    """The estimated error that a Krylov method has measured for its solution.
+    """The estimated error that a Krylov method has measured for its solution; not an exception.
 
     Attributes:
         error_estimate: η of the solution, or of the iterate before it.

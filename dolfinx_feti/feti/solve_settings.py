@@ -51,11 +51,12 @@ class Tolerances:
 
 @dataclass(frozen=True, slots=True)
 class LooseError:
-    """An estimated error that is small enough, although the tolerances of the KSP may be tighter.
+    """A bound on the estimated error, looser than the tolerances of the KSP; not an exception.
 
     Attributes:
-        error_tolerance: Largest η.
-        allowed_error: An error of this size is small enough for any x, (N,).
+        error_tolerance: Largest η. A tighter tolerance of the KSP is raised to it.
+        allowed_error: An error of the size of this vector is small enough for any x, even if x is
+            tiny, (N,).
     """
 
     error_tolerance: float

@@ -5,10 +5,10 @@ r"""FETI as a PETSc Krylov solver: ``-ksp_type python -ksp_python_type dolfinx_f
 
 .. math:: A = T^⊤ K T, \qquad A x = b, \qquad K u + B^⊤ λ = f, \qquad B u = c
 
-[1, eq. 36; eq. 38] in the dual or the primal form. This file has PETSc's callbacks. A solve
-continues in ``outer_loop``, which tests convergence on the *assembled* system with the prescribed
-values :math:`x_D` moved to the right-hand side: :math:`\|b - A x\| ≤ \text{rtol} \|b - A x_D\|`,
-and :math:`\|z\| ≤ \text{rtol} \|x\|` for the preconditioned residual z (``accuracy``).
+(eq. 36; eq. 38) in the dual or the primal form. This file has PETSc's callbacks. A solve continues
+in ``outer_loop``, which tests convergence on the *assembled* system with the prescribed values
+:math:`x_D` moved to the right-hand side: :math:`\|b - A x\| ≤ \text{rtol} \|b - A x_D\|`, and
+:math:`\|z\| ≤ \text{rtol} \|x\|` for the preconditioned residual z (``accuracy``).
 """
 
 from __future__ import annotations
@@ -47,7 +47,8 @@ from dolfinx_feti.torn.symmetry import is_symmetric
 Reason = PETSc.KSP.ConvergedReason
 logger = logging.getLogger("dolfinx_feti")
 
-#: Default relative tolerance on the residual of the assembled system.
+#: Default relative tolerance, for the residual of the assembled system and for η. A choice;
+#: docs/theory.md has the errors that it leaves (When a solve has converged).
 RTOL = 1e-8
 
 #: PETSc's default relative tolerance.
@@ -75,7 +76,7 @@ class FETI:
     The operator is the torn matrix of :func:`dolfinx_feti.create_torn_matrix`. The options are
     listed in ``docs/options.md``; the KSP's own tolerances are those of the assembled system.
 
-    All properties are results of the last set-up or solve.
+    All properties but ``settings`` are results of the last set-up or solve.
 
     Example::
 
@@ -199,12 +200,12 @@ class FETI:
         return None if self.formulation is None else self.formulation.inertia
 
     def renew(self) -> None:
-        """Discard the Ritz vectors, and the preconditioner when the next matrix is set up."""
+        """Discard the Ritz vectors now, and the preconditioner when the next matrix is set up."""
         self._cache.invalidate()
 
     @property
     def settings(self) -> SolveSettings:
-        """What solves may do beyond the tolerances of the KSP; see :meth:`solving_with`."""
+        """What solves are allowed beyond the tolerances of the KSP; see :meth:`solving_with`."""
         return self._settings
 
     @contextmanager
@@ -212,7 +213,8 @@ class FETI:
         """Return a context in which solves have other settings.
 
         Args:
-            settings: The settings; ``replace(feti.settings, …)`` changes some of the present ones.
+            settings: The settings in the context. ``replace(feti.settings, …)`` returns the present
+                ones with some of them changed.
         """
         before = self._settings
         self._settings = settings
@@ -222,11 +224,12 @@ class FETI:
             self._settings = before
 
     def serve_problem(self, *, prints_table: bool) -> None:
-        """Leave it to a problem to log options that nothing reads.
+        """Adapt the output to a problem that owns this solver, and logs unread options itself.
 
         Args:
-            prints_table: Whether the table of ``-ksp_view`` is printed once for each pattern. PETSc
-                would print it after each solve.
+            prints_table: Whether the table of ``-ksp_view`` is printed here, once for each pattern.
+                The problem then withholds the option from PETSc, which would print the table after
+                each solve.
         """
         self._logs_unread_options = False
         self._prints_table = prints_table
@@ -234,10 +237,10 @@ class FETI:
     # -- PETSc's callbacks ------------------------------------------------------------------------
 
     def create(self, ksp: PETSc.KSP) -> None:
-        """Set defaults: no preconditioner of PETSc's, and rtol 1e-8 if it has PETSc's default.
+        """Set defaults: no preconditioner of PETSc's, and :data:`RTOL` in place of PETSc's rtol.
 
-        PETSc does not distinguish its default from the same number set by a user: set a relative
-        tolerance of 1e-5 after the type of the KSP.
+        PETSc does not distinguish its default, 1e-5, from the same number set by a user. To use it,
+        set it after the type of the KSP.
         """
         check_petsc_options(ksp.getOptionsPrefix() or "")  # before PETSc reads them
         ksp.getPC().setType(PETSc.PC.Type.NONE)
@@ -321,11 +324,12 @@ class FETI:
     # -- parts of a solve -------------------------------------------------------------------------
 
     def _unlifted(self, ksp: PETSc.KSP, b: PETSc.Vec) -> PETSc.Vec:
-        """Return the right-hand side without lifting, (N,), which the caller destroys. Collective.
+        """Return the right-hand side without lifting, (N,); the caller destroys it. Collective.
 
         Args:
             ksp: The solver of this context.
-            b: Right-hand side in the user's convention, (N,); returned if nothing is set up.
+            b: Right-hand side in the user's convention, (N,). If nothing is set up, another
+                reference to it is returned.
         """
         if self.formulation is None:
             return copy(b)  # another reference
@@ -333,7 +337,7 @@ class FETI:
         return self._right_hand_sides.unlifted(torn, b, ksp.getOptionsPrefix() or "")
 
     def _solve_with_retries(self, ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> SolveInfo:
-        """Solve A x = b, and again with other parts while the cache has another way. Collective.
+        """Solve A x = b; after a failure, try again if the cache sets up another way. Collective.
 
         Args:
             ksp: The solver of this context.
@@ -341,7 +345,7 @@ class FETI:
             x: The solution, (N,), overwritten; zero if there is no formulation.
 
         Returns:
-            Outcome of the last attempt, with the iterations of all.
+            Outcome of the last attempt, with the iterations of all attempts.
         """
         iterations = 0
         while True:
@@ -474,7 +478,7 @@ class FETI:
     # -- output for the user ----------------------------------------------------------------------
 
     def report(self) -> Report | None:
-        """Return the figures of ``-ksp_view``; None before the first solve. Collective."""
+        """Return the figures of ``-ksp_view``; None if nothing is set up. Collective."""
         if self.formulation is None:
             return None
         return create_report(self.formulation, self.info, age=self.age)
@@ -509,7 +513,10 @@ class FETI:
         warn_of_unread(prefix, unread, ksp.comm.tompi4py())
 
     def _log(self, ksp: PETSc.KSP) -> None:
-        """Log a failure, or an error that rounding leaves, on the first process."""
+        """Log a failure, or an error that rounding leaves, on the first process.
+
+        A refused matrix is not logged: the caller has asked for the refusal.
+        """
         if self.info.reason > 0:
             self._log_error(ksp, self.rtol)
         elif not self._is_refused() and ksp.comm.rank == 0:

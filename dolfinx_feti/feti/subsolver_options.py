@@ -4,8 +4,8 @@
 """Options of PETSc's sub-solvers on which decisions of this package depend.
 
 PETSc reads the same options, and all others, when it sets up a sub-solver. Words are read here
-without marking them as used, so that an option of a sub-solver that is never created is reported as
-unread; numbers are marked.
+without being marked as used in PETSc's database: if a sub-solver is never created, its options are
+reported as unread. Numbers are marked.
 """
 
 from __future__ import annotations

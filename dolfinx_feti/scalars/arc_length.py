@@ -38,7 +38,8 @@ class ArcLength(Coupling):
 
     Attributes:
         load: λ, a constant in the residual.
-        functions: u_n and t_u. (λ_n, t_λ, ψ², Δs) is a Constant of the equation.
+        functions: u_n and t_u. The numbers (λ_n, t_λ, ψ², Δs) are one Constant of the equation:
+            paths restore it with the other Constants of the forms.
     """
 
     def __init__(self, u: dolfinx.fem.Function, load: dolfinx.fem.Constant) -> None:

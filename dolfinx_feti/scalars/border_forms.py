@@ -92,8 +92,8 @@ def _split_direction(
 ) -> dict[dolfinx.fem.Constant, Expr]:
     """Return, by the constant of each unknown, its part of a direction Δs, in its shape.
 
-    If two equations share an unknown, it has both parts, and the check of independence finds that
-    their columns are equal.
+    If two equations share an unknown, its direction is the sum of both parts. Both columns of B are
+    then equal, and the check of independence raises an error.
 
     Args:
         direction: Δs, (m,).

@@ -75,7 +75,7 @@ SINGULAR_BORDER = (
 
 
 class _MatrixSolver:
-    """Solves with A alone, by the KSP and to its tolerances unless others are passed.
+    """Solves with A alone, without the border, to the tolerances of the KSP or to others.
 
     Attributes:
         A: Torn matrix, with the springs.
@@ -113,7 +113,8 @@ class _MatrixSolver:
 
         Args:
             b: Right-hand side, with prescribed values on Dirichlet dofs, (N,).
-            rtol: Relative tolerance of this solve; if not given, both are those of the KSP.
+            rtol: Relative tolerance of this solve. If not given, both tolerances are those of the
+                KSP, and ``atol`` has no effect.
             atol: Absolute tolerance of this solve.
 
         Returns:
@@ -411,7 +412,7 @@ def _solve_system(
     """Solve a bordered system for y = A⁻¹ b. Collective.
 
     If a solve with A fails or S is singular, nothing is refined, and the outcome is this failure.
-    If a refinement fails, the best solution before is returned.
+    If a refinement fails, the best solution before it is returned.
 
     Args:
         solver: Solves with A.
@@ -453,7 +454,8 @@ def _correct_columns(
 
     The columns of an earlier X are first corrected to :data:`FIRST_RTOL`; without one, all are
     computed to the tolerance of the KSP. Each pass then computes s, and from it the residual that
-    each column may have. Columns above theirs are corrected in the next pass.
+    each column may have. The next pass corrects the columns above their bounds. After
+    :data:`MAX_CORRECTIONS` passes, the columns are returned as they are.
 
     Args:
         solver: Solves with A.

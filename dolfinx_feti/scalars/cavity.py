@@ -6,7 +6,8 @@ r"""Cavities with a prescribed volume [mm³]; their pressure [kPa] is the unknow
 .. math:: V(u) = \bar V, \qquad r(u, p; v) = δΠ_{int} - p\, δV
 
 The pressure is the multiplier of the volume (``mechanics.loads.enclosed_volume``), a follower
-pressure. Its tangent is symmetric if the surface is closed, or its rims are supported as V needs.
+pressure. Its tangent is symmetric if the surface is closed, or if its rims are clamped or slide in
+planes (:meth:`Cavity.check <dolfinx_feti.scalars.cavity.Cavity.check>`).
 """
 
 from __future__ import annotations
@@ -112,7 +113,7 @@ class Cavity(Coupling):
         return self._integral(self._compiled)
 
     def spread(self, value: ufl.core.expr.Expr) -> ufl.Form:
-        """Return a form of rank zero with a constant value: its mean over the surface."""
+        """Return a form of rank zero with the value of a constant expression: ∫ value/area ds."""
         return value / self.area * self._ds
 
     @property
@@ -131,9 +132,10 @@ class Cavity(Coupling):
     def check(self, bcs: Sequence[dolfinx.fem.DirichletBC]) -> None:
         """Check that the volume is positive, and that the rims are supported. Collective.
 
-        −δV has to be the virtual work of a unit follower pressure on the surface. The caps over
-        open rims are missing in V. Where a rim can move in another way than V needs, the two differ
-        at free dofs. They are compared at a displacement without symmetry.
+        −δV has to be the virtual work of a unit follower pressure on the surface. V has no
+        integral over the caps of open rims, which is right for rims that are clamped or slide in
+        certain planes. At another rim, the two differ at free dofs. They are compared at a
+        displacement without symmetry.
 
         Raises:
             ValueError: They are not; on all processes.
@@ -154,7 +156,7 @@ class Cavity(Coupling):
             )
 
     def check_values(self) -> None:
-        """Check that the volume is positive."""
+        """Check that the prescribed volume is positive."""
         if self.volume is not None:
             require_positive(volume=float(self.volume.value))
 

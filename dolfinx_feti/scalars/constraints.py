@@ -20,7 +20,9 @@ __all__ = ["mean_value", "rigid_motions"]
 def mean_value(
     u: dolfinx.fem.Function, value: float | Expr = 0.0, dx: ufl.Measure | None = None
 ) -> ScalarEquation:
-    r"""Prescribe the mean ū of u, of each component, by a multiplier: ∫ (u − ū) dX = 0.
+    r"""Return equations that prescribe the mean ū of u, of each component: ∫ (u − ū) dX = 0.
+
+    The unknowns are multipliers λ, one for each component.
 
     Args:
         u: The unknown.
@@ -47,7 +49,9 @@ def mean_value(
 
 
 def rigid_motions(u: dolfinx.fem.Function, dx: ufl.Measure | None = None) -> ScalarEquation:
-    """Constrain the rigid motions of a displacement by a force and a moment spread over the body.
+    """Return equations that constrain the rigid motions of a displacement.
+
+    The unknowns are a force and a moment, which are spread over the body.
 
     The equations are ∫ u dX = 0 and ∫ X × u dX = 0, with three scalars in the plane and six in
     space. The scalars vanish if the loads balance each other. Then u is the solution orthogonal to

@@ -27,8 +27,14 @@ __all__ = ["Coupling", "ScalarEquation", "ScalarTangent", "values_of"]
 class Coupling:
     """Base class of scalar unknowns with equations: ScalarEquation, Cavity, Windkessel, ArcLength.
 
+    A subclass defines ``equation``, and those of the other methods that it needs. A problem calls
+    :meth:`check` with its Dirichlet conditions, again when they change, and :meth:`check_values`
+    before each solve. Paths call :meth:`begin_step` before the solves of a step, and
+    :meth:`accept` after a successful one.
+
     Attributes:
-        functions: Functions that :meth:`accept` changes.
+        functions: Functions that :meth:`accept` changes, which paths restore after a failed step.
+            They restore all Constants of the forms without a list.
     """
 
     functions: Sequence[dolfinx.fem.Function] = ()

@@ -76,9 +76,10 @@ class PointSprings:
     def added_to(self, A: PETSc.Mat) -> Iterator[None]:
         """Return a context in which the diagonal of a matrix has the springs.
 
-        A FETI solver sets up a matrix again if its PETSc state has changed, as adding springs does.
-        If the matrix has not changed since they were last removed, it has the same entries with
-        springs as then, and gets the state that it had.
+        A FETI solver sets up a matrix again if its PETSc state, a count of changes, has increased.
+        Adding springs increases it. If the matrix has not changed since the springs were last
+        removed, its entries with springs are those of the last context: it gets the state of that
+        context, and the solver keeps its factors.
         """
         K = A.getISLocalMat()
         if not self.count:
@@ -114,7 +115,10 @@ class PointSprings:
 
 
 def _free_motions(torn: Torn) -> Array:
-    """Return the rigid motions that nothing resists, one body after the other, (n, k)."""
+    """Return the rigid motions that nothing resists, one body after the other, (n, k). Collective.
+
+    The largest entry of each column over all processes is one, up to its sign.
+    """
     bodies = find_bodies(torn)
     rigid = free_motions(torn, bodies, is_semidefinite=False)
     columns = []

@@ -135,8 +135,8 @@ class ScalarSystem:
     def correction(self, ksp: PETSc.KSP, r: Array, c: Array) -> tuple[Array, Array] | None:
         """Return approximate increments for residuals, without a solve. Collective.
 
-        They come from the preconditioner of the last matrix and the border of the last
-        :meth:`solve`.
+        One application of the preconditioner takes the place of the solve. The border is that of
+        the last :meth:`solve`.
 
         Args:
             ksp: A KSP with a FETI context.
@@ -213,6 +213,8 @@ class ScalarSystem:
 
     def check(self) -> None:
         """Check that the values and equations have a solution. Collective.
+
+        The first call, and the first one after :meth:`prescribe`, also assembles the border.
 
         Raises:
             ValueError: They have none; on all processes.

@@ -53,8 +53,8 @@ from dolfinx_feti.torn.matrix import Torn
 class DualFormulation:
     """The dual formulation of one matrix; it satisfies the protocol ``Formulation``.
 
-    Its parts are destroyed by the lifetimes given to :func:`create_dual_formulation` and
-    ``set_up``, after the formulation is no longer used.
+    It has no ``destroy``: the lifetimes that were passed to :func:`create_dual_formulation` and to
+    ``set_up`` destroy its parts when it is no longer used.
 
     Attributes:
         pattern: Data that depend on the pattern of the matrix alone, such as B.

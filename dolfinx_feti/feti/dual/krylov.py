@@ -12,8 +12,8 @@ the preconditioned jump.
 
 * CG preconditions its residual just before each test, and the preconditioner computes ‖Tᵀ t‖ of
   the vector that it is applied to. This is the norm itself if D = 0, and an estimate otherwise.
-* The other methods precondition other vectors, or after their test. For them ‖Tᵀ t‖ is estimated
-  as a multiple of rnorm.
+* The other methods precondition other vectors, or precondition after their test. For them ‖Tᵀ t‖
+  is estimated as a multiple of rnorm.
 
 Before an estimate ends a solve, ‖Tᵀ t‖ is measured: computed for the true residual. This also
 corrects the estimate, and is repeated every :data:`MEASURING_INTERVAL` iterations.
@@ -263,9 +263,9 @@ class ResidualEstimate:
     def update(self, its: int, rnorm: float) -> float:
         """Return the estimate in an iteration.
 
-        Called once in each iteration. If the method does not precondition its residual, iteration 0
-        sets the ratio to that of the start, which is exact there, and iteration 1 applies the
-        margin.
+        Call it exactly once in each iteration, in order: if the method does not precondition its
+        residual, iteration 0 sets the ratio to that of the start, which is exact there, and
+        iteration 1 applies the margin.
         """
         if not self.preconditions_residual and its == 0:
             self._ratio = _quotient(self._initial, rnorm)
@@ -437,9 +437,9 @@ def _choose_correction(
     """Return the iterate with the smallest ‖Tᵀ t‖ that a run yields. Collective.
 
     If CG breaks down, the last iterate plus its preconditioned residual z is a candidate, too. CG
-    divides by r·z = ‖r − G w‖²_Q + w·D w (for Q = M), which vanishes, or is negative by rounding,
-    if only a motion w of the subdomains with r = G w and D w = 0 is missing. Then z contains w, and
-    this sum is the solution.
+    divides by r·z, which is ‖r − G w‖²_Q + w·D w for Q = M. If only a motion w of the subdomains is
+    missing, r = G w and D w = 0, and r·z vanishes or is negative by rounding. Then z contains w,
+    and the sum is the solution.
 
     Args:
         system: The dual system.

@@ -51,7 +51,8 @@ class Gluing:
     """The constraints B u = c of a torn matrix; λ has an entry for each row of B.
 
     The rows of a process, m, are those of the pairs of copies of the dofs that it owns, and after
-    them those of its torn Dirichlet dofs. The primal formulation uses ``interface_dofs`` alone.
+    them those of its torn Dirichlet dofs. The primal formulation uses ``interface_dofs`` alone, and
+    the report the number of rows of B.
 
     Attributes:
         B: Jump operator with entries ±1, distributed, with m rows and n columns on this process.

@@ -5,8 +5,9 @@ r"""Scalings: the weights δ of the copies of each dof, in averages and in :math
 
 .. math:: δ_i = k_i / \sum_j k_j \quad\text{over the copies j of a dof}, \qquad T^⊤ δ\, T = I
 
-with the stiffness k of each copy. A new scaling is a function of the torn matrix, with the contract
-of :data:`Scaling`, and an entry in :data:`SCALINGS`. Two kinds need more:
+with the stiffness k of each copy. To use other numbers k for one matrix, pass them as ``stiffness``
+to ``create_torn_matrix``. A new scaling is a function of the torn matrix, with the contract of
+:data:`Scaling`, and an entry in :data:`SCALINGS`. Two kinds need more:
 
 * Weights from the Schur complements S need another argument, since a scaling has K alone.
 * Averages by matrices, as in deluxe scaling, also need other averages in ``copies`` and other
