@@ -119,6 +119,7 @@ def solve_assembled(
     """
     prefix = ksp.getOptionsPrefix() or ""
     x.set(0.0)
+    # Where no start follows, a KrylovInfo passes the reason on.
     if not np.isfinite(b.norm()):
         return _outcome(KrylovInfo(Reason.DIVERGED_NANORINF), Accuracy(), formulation, prefix)
     torn = formulation.pattern.torn
@@ -152,7 +153,7 @@ def _outcome(
     """Return the outcome with the converged reason and, after a failure, a message.
 
     Args:
-        last: How the last start ended.
+        last: How the last start ended, or the reason alone if there was none.
         accuracy: What has been measured of the solution.
         formulation: The formulation that solved.
         prefix: Options prefix of the KSP.

@@ -152,7 +152,7 @@ class ScalarSystem:
         return None if z is None else (z, np.zeros(0))
 
     def error_of_correction(self, ds: Array, s: Array, u: Array) -> float:
-        """Return the largest |Δs_k| relative to the size of s_k. Collective.
+        """Return the error η of the scalars: the largest relative size of a Δs_k. Collective.
 
         See :meth:`BorderedSolver.error_of_correction
         <dolfinx_feti.scalars.bordered.BorderedSolver.error_of_correction>`.

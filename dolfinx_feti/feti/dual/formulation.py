@@ -220,7 +220,8 @@ def create_dual_formulation(pattern: Pattern, setup: Setup, within: Lifetime) ->
     Args:
         pattern: Data that depend on the pattern of the matrix alone.
         setup: S, δ and K⁺ of the matrix; their owner outlives the formulation.
-        within: Owner of the objects that are created here; it destroys them.
+        within: Owner of the objects that are created here, which belong to the matrix; it destroys
+            them.
 
     Raises:
         SetUpError: The set-up failed; a SingularError if the assembled problem is singular.
