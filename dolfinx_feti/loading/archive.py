@@ -7,8 +7,8 @@ For each process p that wrote, the archive holds its owned cells, their dofs, an
 these. A reader finds the values in a cell by the cell's index in the input mesh::
 
     {p}/cells         (cells,) int64        indices of the owned cells in the input mesh
-    {p}/permutations  (cells,) uint32       dolfinx's permutation info: the orientations of their
-                                            edges and faces, as bits
+    {p}/permutations  (cells,) uint32       dolfinx's permutation info: the orientations of the
+                                            cells' edges and faces, as bits
     {p}/dofs {i}      (cells, dofs) int32   their dofs in function i: local numbers of blocks
     {p}/values {i} {t}  (n · bs,) float64   function i at instant t, ghosts included, as in
                                             ``x.array``, in the user's units
@@ -120,8 +120,8 @@ def read_values(
 
     Args:
         path: The archive.
-        functions: The functions, on the input mesh of those that were written; they stay as they
-            are.
+        functions: The functions, on the same input mesh as those that were written. Their values do
+            not change.
         processes: Number of processes that wrote.
         counts: Number of functions at each instant.
 

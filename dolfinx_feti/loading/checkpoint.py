@@ -78,16 +78,16 @@ class Checkpoint:
         restart: bool = False,
         allow_changes: bool = False,
     ) -> None:
-        """Open the folder, before there is a mesh. Collective.
+        """Open the folder; the mesh need not exist yet. Collective.
 
         Args:
             folder: The folder; it is created, with its parents.
             comm: Communicator of the mesh.
             parameters: Further parameters of the problem by name: numbers, strings, and lists of
                 them. A state of other parameters is refused.
-            restart: True: continue from the state in the folder. False: the folder must not hold
-                one.
-            allow_changes: Accept a state of other parameters, forms, or Constants in them.
+            restart: Whether to continue from the state in the folder. If False, the folder must not
+                hold a state.
+            allow_changes: Whether to accept a state of other parameters, forms, or Constants.
 
         Raises:
             OSError: The folder cannot be written, holds a state already, or none to continue from.
@@ -186,7 +186,7 @@ class Checkpoint:
         if self._head is None:
             raise ValueError(f"There is no state in {self.folder} yet: write one first.")
         head = self._head
-        # Indices of Constants hold for forms that agree. If they are allowed to differ, the
+        # Indices of Constants are valid only if the forms agree. If forms are allowed to differ,
         # Constants are not compared.
         here = describe_problem(functions, content, head["changing"])
         has_forms = content is not None and head["forms"] is not None

@@ -161,6 +161,6 @@ class FixedPoint(ABC):
             self.n_updates += self._problem.n_updates
 
     def _anderson(self, f: dolfinx.fem.Function) -> Anderson:
-        """Return an acceleration of iterates of a Function, in which each dof counts once."""
+        """Return Anderson's acceleration of a Function's iterates; only owned dofs count."""
         dofmap = f.function_space.dofmap
         return Anderson(self._comm, dofmap.index_map.size_local * dofmap.index_map_bs)

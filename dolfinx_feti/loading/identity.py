@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Is a checkpoint one of this problem? Its mesh, elements, forms and Constants, in a few numbers.
+r"""Whether a checkpoint is one of this problem, by its mesh, elements, forms and Constants.
 
 Coordinates are compared by their extent and by a mean over the vertices x of all cells,
 

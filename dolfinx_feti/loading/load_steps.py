@@ -9,9 +9,9 @@ the parabola through them predicts the next one. If the prediction turns a cell 
 an indefinite tangent and a larger residual than the last equilibrium, the step begins with the
 tangent of the last equilibrium again.
 
-Newton's tolerance refers to :math:`\|r(U_n; t_{n+1})\|`, as the residual of a prediction can be
-larger by orders of magnitude. FETI's preconditioner is reused from one load to the next. After a
-checkpoint it is discarded, because a restart does not have it.
+Newton's tolerance refers to :math:`\|r(U_n; t_{n+1})\|`, because the residual of a prediction can
+be larger by orders of magnitude. FETI's preconditioner is reused from one load to the next. After a
+checkpoint is written it is discarded: a restart does not have it, and has to take the same steps.
 """
 
 from __future__ import annotations
@@ -91,9 +91,9 @@ def follow_load(
         targets: Loads to be met exactly, one after the other. A target that differs from the load
             before it by rounding alone, as 3 * 0.1 from 0.3, takes no step.
         steps: How to choose the increments.
-        state: Functions that a solve changes in addition to u and condensed fields. Like these they
-            are predicted by a parabola, restored after a failure, and written to the checkpoint.
-            Internal variables and dashpots need not be listed: they advance after ``on_step``.
+        state: Functions that a solve changes in addition to u and condensed fields. Like these,
+            they are predicted by a parabola, restored after a failure, and written to the
+            checkpoint. Internal variables and last displacements of dashpots need not be listed.
         start: The present load.
         unloading: Whether the load may turn back on its way through the targets.
         on_step: Called in each new equilibrium on all processes, for output; the order of events is
@@ -115,7 +115,8 @@ def follow_load(
         ConvergenceError: A step of the least increment failed; state and load are those of the last
             equilibrium.
         BaseException: Errors of ``set_load`` or ``on_step``, on all processes if on one;
-            KeyboardInterrupt or SystemExit after Ctrl-C or SIGTERM. The state is the last one.
+            KeyboardInterrupt or SystemExit after Ctrl-C or SIGTERM. The state is the last accepted
+            one.
     """
     if not isinstance(problem, Problem):
         raise TypeError(f"problem is {problem!r}: give a NonlinearProblem.")
@@ -188,7 +189,7 @@ class _LoadStepper(Stepper[LoadStep]):
 
     def _attempt(self, to: float, target: float) -> None:
         """Solve from a prediction, or else with the tangent of the last equilibrium. Collective."""
-        rtol = 0.0  # raises no tolerance of the solver
+        rtol = 0.0  # leaves the solver's own tolerance
         linear_rtol = 0.0
         if to != target:
             rtol = self._steps.rtol or 0.0

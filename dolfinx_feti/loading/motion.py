@@ -22,9 +22,8 @@ With the spectral radius ρ_∞ at high frequencies, α_m = (2 ρ_∞ − 1)/(ρ
 t + (α_m − α_f) Δt, the distance a − ü is scaled with Δt where that changes, which keeps the order.
 
 The factors c and d are Constants of the user's forms (:class:`InertiaFactor`,
-:class:`RateFactor`). A path finds them there: so ``follow_load`` stops the inertia and the
-velocities of forms even if their Motion does not exist any more, which is why the factors own what
-is to be stopped.
+:class:`RateFactor`), where a path finds them. So ``follow_load`` can stop inertia and velocities in
+forms whose Motion no longer exists. For this reason the factors own all that is to be stopped.
 """
 
 from __future__ import annotations
@@ -71,7 +70,7 @@ class DrivenDashpot:
 
 
 class RateFactor(dolfinx.fem.Constant):
-    """The factor d in a velocity d (u − û); zero in equilibria, in which that velocity is zero.
+    """The factor d in a velocity d (u − û); zero in equilibria.
 
     Attributes:
         reference: û, a Function in the space of u.
@@ -131,6 +130,10 @@ class InertiaFactor(dolfinx.fem.Constant):
 class Motion:
     """Inertia and velocities of a displacement.
 
+    In each step ``follow_time`` calls :meth:`begin_step`, sets the loads, calls :meth:`predict`,
+    solves, and calls :meth:`error_of_step` and :meth:`end_step`, in this order. If the step fails,
+    it restores the last state and calls :meth:`set_to_last_state`.
+
     Example::
 
         from dolfinx_feti.loading import TimeSteps, follow_time
@@ -148,7 +151,7 @@ class Motion:
         dt: Δt, a Constant, for materials whose memory fades with time.
         inertia: Form ½ ∫ ρ c (u − ũ)², to be added to an energy; its derivative is added to a
             residual, and its second derivative to a tangent.
-        rate: The velocity in u, d (u − û), for forces that damp.
+        rate: The velocity as an expression in u, d (u − û), for damping forces.
     """
 
     def __init__(self, u: dolfinx.fem.Function, density: float | Expr, *, rho: float = 0.8) -> None:
@@ -216,7 +219,11 @@ class Motion:
         self._rate_factor.dashpots = [self._driven(dashpot) for dashpot in dashpots_in(constants)]
 
     def _driven(self, dashpot: DashpotFactor) -> DrivenDashpot:
-        """Return the Function and the Constant to set in a dashpot; errors as above."""
+        """Return the Function and the Constant to set in a dashpot.
+
+        Raises:
+            ValueError: See :meth:`attach_dashpots`.
+        """
         u = dashpot.u
         last = dashpot.last
         time_step = dashpot.time_step

@@ -52,7 +52,7 @@ class PlaceTolerance:
         return abs(a - b) <= min(rounding, self.least)
 
     def without_repeats(self, start: float, targets: Sequence[float]) -> list[float]:
-        """Return the targets without those that equal the place before them but for rounding."""
+        """Return the targets without those that equal the place before them to rounding."""
         places = [start]
         for target in map(float, targets):
             if not self.are_equal(places[-1], target):

@@ -21,7 +21,10 @@ __all__ = ["Problem"]
 
 @runtime_checkable
 class Problem(Protocol):
-    """A :class:`NonlinearProblem`, whose members have the same meaning, or a fixed point of one."""
+    """A :class:`NonlinearProblem` or a fixed point of one.
+
+    Members that are not described here have the meaning of those of :class:`NonlinearProblem`.
+    """
 
     @property
     def unknown(self) -> dolfinx.fem.Function:
@@ -47,7 +50,7 @@ class Problem(Protocol):
     def n_updates(self) -> int:
         """Number of updates of multipliers of the volume in the last solve.
 
-        Each of them costs about one Newton step.
+        Each update costs about one Newton step.
         """
 
     def solve(

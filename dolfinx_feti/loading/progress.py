@@ -41,11 +41,11 @@ DEFAULTS: dict[signal.Signals, Callable[[int, FrameType | None], object] | signa
 }
 logger = logging.getLogger("dolfinx_feti")
 
-#: Attribute of the SNES that holds the progress of the present path. A monitor of the SNES reads
-#: it. PETSc can only remove all monitors at once: this one stays and serves later paths, too.
+#: Attribute of the SNES that holds the progress of the present path, for a monitor of the SNES.
+#: PETSc can only remove all monitors at once. So the monitor stays, and serves later paths too.
 ATTRIBUTE = "progress"
 
-#: Share of a path above which it is complete but for rounding, and no time is left: the share is a
+#: Share of a path above which only rounding is left, and no remaining time is shown: the share is a
 #: sum of up to 10⁴ increments, which errs by 5e-13.
 COMPLETE = 1.0 - 1e-12
 

@@ -39,7 +39,7 @@ class Snapshot:
         at: Its load or time.
         arrays: Values of the functions, with ghosts; the unknowns come first.
         constants: Values of the Constants; None if the state was read from a checkpoint with its
-            unknowns alone: it serves for predictions, and cannot be restored.
+            unknowns alone. Such a state is used in predictions, and cannot be restored.
     """
 
     at: float
@@ -75,7 +75,7 @@ class PathState:
             content: Unknowns and constants of the forms.
             unknowns: Further Functions that a solve changes.
             histories: Functions that advance after a solve.
-            constants: Further Constants; every step changes them.
+            constants: Further Constants, which every step changes.
             n_earlier: Number of accepted states to store before the last one.
         """
         self.at = float(at)
@@ -128,8 +128,8 @@ class PathState:
     ) -> None:
         """Write the last accepted state, and the unknowns of earlier ones. Collective.
 
-        Constants whose values differ from the first ones are noted as changing: a restart does not
-        compare their values.
+        Constants whose values have changed since the beginning of the path are noted as changing: a
+        restart does not compare their values.
 
         Args:
             checkpoint: Where to write.

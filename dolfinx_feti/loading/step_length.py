@@ -9,8 +9,10 @@ L, so that the target is met exactly:
 .. math:: t ← t + (T - t) / \lceil |T - t| / L \rceil.
 
 A step that fails is repeated with half its length, until that is the least. How L changes after a
-step that succeeded is the rule: one class for each, and a method ``length_rule`` of its settings
-that creates it (``steps``, ``time_steps``).
+step that succeeded is the rule. Each rule is a class: :class:`GrowthAfterQuickSteps` for load
+steps, ``time_steps.ErrorControl`` for time steps. The method ``length_rule`` of the settings
+(``steps.Steps``, ``time_steps.TimeSteps``) creates it. For a further rule, override that method in
+a subclass of the settings; parameters of the rule are fields of that subclass.
 """
 
 from __future__ import annotations
@@ -35,8 +37,9 @@ Step = TypeVar("Step", contravariant=True)
 class StepLengthRule(ABC, Generic[Step]):
     """The present length of steps, and a rule for the next one.
 
-    A rule defines :meth:`adapt`, and may override :meth:`halve`. One that remembers more than the
-    length extends :meth:`record` and :meth:`restore`: a restart has no other memory.
+    A rule defines :meth:`adapt`, and may override :meth:`halve`. A rule that remembers more than
+    the present length extends :meth:`record` and :meth:`restore`, through which it passes a
+    restart.
 
     Attributes:
         present: Length that the next step does not exceed, in the unit of the load or time.
@@ -55,7 +58,9 @@ class StepLengthRule(ABC, Generic[Step]):
 
     @abstractmethod
     def adapt(self, step: Step, *, n_updates: int) -> None:
-        """Choose the length after a step that succeeded: set ``present``, to ``least`` or more.
+        """Set ``present`` to the length after a step that succeeded, ``least`` or more.
+
+        The caller does not check the bound.
 
         Args:
             step: The step, with its increment, failures, and cost. Its increment may be shorter
@@ -75,10 +80,10 @@ class StepLengthRule(ABC, Generic[Step]):
         return length <= self.least + ROUNDING * (length + abs(at))
 
     def halve(self, length: float) -> None:
-        """Choose half the length of a step that failed, and no less than the least.
+        """Set ``present`` to half the length of a step that failed, ``least`` or more.
 
-        An override has to shorten as well: the step is repeated until it succeeds, or until
-        :meth:`is_least`.
+        An override has to shorten the step as well: the step is repeated until it succeeds, or
+        until its length :meth:`is_least`.
         """
         self.present = max(length / 2.0, self.least)
 
@@ -87,7 +92,10 @@ class StepLengthRule(ABC, Generic[Step]):
         return {"present": self.present}
 
     def restore(self, record: Mapping[str, float]) -> None:
-        """Set the rule to the state that :meth:`record` has returned."""
+        """Set the rule to the state that :meth:`record` has returned.
+
+        The checkpoint may be that of a run with another rule: read further entries by ``get``.
+        """
         self.present = record["present"]
 
 
@@ -108,7 +116,7 @@ class GrowthAfterQuickSteps(StepLengthRule[LoadStep]):
     def adapt(self, step: LoadStep, *, n_updates: int) -> None:
         """Increase the length after a quick step.
 
-        Each update of multipliers takes about one Newton step, which does not count.
+        Each update of multipliers takes about one Newton step; these steps are not counted.
         """
         new_tangents = sum(newton_step.tangent_lag == 0 for newton_step in step.history)
         is_quick = new_tangents - n_updates <= self.quick

@@ -9,8 +9,8 @@
    internal variables that the balance does not depend on. The next length is chosen.
 3. *Call* ``on_step``. Stresses and reactions that it evaluates are those that were balanced: memory
    and dashpots are still those of the last state.
-4. *Accept*: memory and dashpots advance. From here on the new state is the last one. A step that
-   ``on_step`` has been called for is accepted even if that raises.
+4. *Accept*: memory and dashpots advance. From here on the new state is the last one. A step is also
+   accepted if ``on_step`` raises.
 5. *Write* the checkpoint. A restart calls ``on_step`` again for a step that was not written.
 
 An exception in between, Ctrl-C and SIGTERM included, restores the last accepted state: load,
@@ -48,11 +48,19 @@ Step = TypeVar("Step", bound=LoadStep)
 class Stepper(ABC, Generic[Step]):
     """Steps of one kind from the present state through targets.
 
-    A kind of steps is a derived class. It defines how a state is solved for (:meth:`_attempt`), how
-    a step is completed (:meth:`_complete`), when a target is met (:meth:`_is_met`), and what helps
-    after a failure (:meth:`_remedy`). It may prepare the first step (:meth:`_begin`), advance and
-    restore further histories (:meth:`_advance`, :meth:`_after_restore`), and solve loosely between
-    targets (:meth:`_has_loose_tolerance`).
+    Each kind of steps is a derived class. It defines
+
+    * :meth:`_attempt`: solve for a state (1);
+    * :meth:`_complete`: complete a solved state and the record of its step (2);
+    * :meth:`_is_met`: whether a target is met;
+    * :meth:`_remedy`: what helps after a failure at the least length.
+
+    It may override
+
+    * :meth:`_begin`: prepare the first step;
+    * :meth:`_advance`: advance histories that are not internal variables of the problem (4);
+    * :meth:`_after_restore`: restore what is not part of ``state``, after a failure or an error;
+    * :meth:`_has_loose_tolerance`: whether a state between targets was solved loosely (4).
 
     Attributes:
         state: The present state and the accepted ones.
@@ -92,7 +100,7 @@ class Stepper(ABC, Generic[Step]):
         self._function_name = function_name
         self._failure = failure
         self._kind = kind
-        self._check_signals: Callable[[], None] = _no_signal  # follow sets another one
+        self._check_signals: Callable[[], None] = _no_signal  # replaced by follow
         self._reached = [self.at]  # targets that were met, and the start
         self._is_loose = False  # whether the present state was solved with a loose tolerance
         problem.renew()

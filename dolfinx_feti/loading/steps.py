@@ -22,7 +22,7 @@ class LengthSettings:
     Attributes:
         first: The first increment.
         least: The increment below which there is no further halving.
-        growth: Factor of the increment from one step to the next, at most. The default 1.5 is a
+        growth: Largest factor of the increment from one step to the next. The default 1.5 is a
             choice, not measured: after two halvings four quick steps reach the old length.
     """
 
@@ -44,7 +44,7 @@ class Steps(LengthSettings):
     """How to choose the increments of the load; they grow after a quick step.
 
     Attributes:
-        quick: Newton steps with a new tangent up to which a load step counts as quick. The default
+        quick: Largest number of Newton steps with a new tangent in a quick load step. The default
             is a choice, not measured: a step from a good prediction takes three or four.
         rtol: Newton's relative tolerance at loads that are no targets; None for the solver's own.
         linear_rtol: Relative tolerance of the linear solves there; None for the solver's own. A
@@ -66,5 +66,5 @@ class Steps(LengthSettings):
                 require_within(0.0, 1.0, {name: tolerance}, includes_ends=False)
 
     def length_rule(self) -> StepLengthRule[LoadStep]:
-        """Create the rule for the lengths; another rule is a subclass that overrides this."""
+        """Create the rule for the lengths; a subclass with another rule overrides this."""
         return GrowthAfterQuickSteps(self.first, self.least, growth=self.growth, quick=self.quick)

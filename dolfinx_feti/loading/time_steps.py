@@ -70,8 +70,8 @@ class TimeSteps(LengthSettings):
 
     Attributes:
         longest: The longest length [s]; the first one if not given.
-        tolerance: Largest estimated error of the displacement in a step [mm]; if not given, steps
-            are as long as the first one unless they fail.
+        tolerance: Largest estimated error of the displacement in a step [mm]. If not given, steps
+            grow up to ``longest``, and are shortened only if they fail.
     """
 
     longest: float | None = None
@@ -89,11 +89,11 @@ class TimeSteps(LengthSettings):
 
     @property
     def longest_length(self) -> float:
-        """The longest length [s], also if it is not given."""
+        """The longest length [s]: ``longest``, or ``first`` if that is not given."""
         return self.first if self.longest is None else self.longest
 
     def length_rule(self) -> StepLengthRule[TimeStep]:
-        """Create the rule for the lengths; another rule is a subclass that overrides this."""
+        """Create the rule for the lengths; a subclass with another rule overrides this."""
         return ErrorControl(self)
 
 
@@ -134,8 +134,8 @@ def follow_time(
     """Follow the motion from one time through others to the last. Collective.
 
     It begins with the present displacement and ``motion.velocity``; the acceleration follows from
-    the balance of forces. Arguments that :func:`~dolfinx_feti.loading.load_steps.follow_load` has,
-    too, mean the same.
+    the balance of forces. Arguments have the same meaning as those of this name in
+    :func:`~dolfinx_feti.loading.load_steps.follow_load`.
 
     Args:
         problem: The nonlinear problem, with the inertia of ``motion`` in its forms.
@@ -250,7 +250,7 @@ class _TimeStepper(Stepper[TimeStep]):
         return "Allow shorter steps, or a larger tolerance."
 
     def _begin(self, targets: Sequence[float], *, is_restarted: bool) -> None:
-        """Compute the initial acceleration, which a restart has already. Collective."""
+        """Compute the initial acceleration, unless a restart has read it. Collective."""
         if is_restarted or not targets:
             self._motion.set_to_last_state()
         else:
@@ -289,8 +289,9 @@ class _TimeStepper(Stepper[TimeStep]):
     def _values_at(self, t: float) -> Array:
         """Return u with the prescribed values at a time, with ghosts; that time is set. Collective.
 
-        Scalars get the distance of that time as the length of a step: the last one is that of the
-        first step, with which their forces are balanced at the beginning.
+        Scalars get the distance of that time as the length of a step (``begin_step``). The last
+        call sets the length of the first step, with which their forces are balanced at the
+        beginning.
         """
         self._set_place(t)
         values = self._problem.unknown.x.array.copy()

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Tolerances of a Newton solver that are looser for a while."""
+"""A context in which the tolerances of a Newton solver are looser."""
 
 from __future__ import annotations
 

@@ -45,13 +45,13 @@ __all__ = ["unload"]
 #: choice, not measured.
 FORWARD_RTOL = 0.1
 
-#: Relative tolerance of the linear solves in these. With a large κ nearly all of the residual
-#: belongs to changes of volume: a looser solve meets its tolerance by these alone, and does not
-#: reduce the rest.
+#: Relative tolerance of the linear solves in those forward solves. With a large κ nearly all of the
+#: residual is due to changes of volume: a looser solve meets its tolerance by reducing that part
+#: alone.
 FORWARD_LINEAR_RTOL = 1e-5
 
-#: Trials of a step of U that turns cells inside out, each half as long as the one before. If a 16th
-#: of a step is too long, the load step is: it fails and is halved.
+#: Trials of a step of U that turns cells inside out, each half as long as the one before. If even a
+#: 16th of the step is too long, the load step fails and is halved.
 MAX_TRIALS = 5
 
 _INVERTED = "{0} cells of the unloaded wall would be inside out. Load in smaller steps."
