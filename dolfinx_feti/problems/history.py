@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The history of a solve: what each Newton step cost, and how it ended."""
+"""The record of a Newton step: its cost, and how it ended."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class NewtonStep:
     #: Number of negative eigenvalues of the regularised subdomain matrices and of D; those of an
     #: earlier tangent if ``lag`` is not zero. None if a factorisation does not count them.
     negative: int | None
-    #: Number of negative eigenvalues that the true tangent has at least; None if only shifted
-    #: tangents were factored, or without a proof.
+    #: Proved lower bound of the number of negative eigenvalues of the true tangent; None without a
+    #: proof, or if only shifted tangents were factored.
     indefinite: int | None
     shift: float  #: σ of the tangent K' + σ diag|k| that ΔU solves; zero for the true one.
     solves: int  #: Linear solves; those before the last one failed, or led uphill.

@@ -1,10 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Options of PETSc's solvers that have no effect here, or must not be given.
+"""Options of PETSc's solvers that have no effect here, or are refused.
 
 A problem has a SNES and a KSP with contexts of this package. Options that choose another solver, or
-set one that is not used, are logged once.
+belong to a solver that is not used, are logged once.
 """
 
 from __future__ import annotations

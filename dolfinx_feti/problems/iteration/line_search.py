@@ -46,10 +46,10 @@ TOO_SHORT = 0.9
 #: as in total variation. A closer α is not worth a trial; it is a choice, not measured.
 BRACKET_RATIO = 1.3
 
-#: Largest share of the bracket that a trial leaves: bisection.
+#: Largest position of a trial in the bracket, from its short end, as a share: bisection.
 LONGEST_CUT = 0.5
 
-#: Smallest share of the bracket that a trial leaves: a secant may be misled by a kink of g.
+#: Smallest position of a trial in the bracket, as a share: a kink of g may mislead the secant.
 SHORTEST_CUT = 0.1
 
 

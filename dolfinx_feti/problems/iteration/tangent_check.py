@@ -274,7 +274,7 @@ def find_mismatch(system: System, residual: Residual, d: Array) -> Finding | Non
     if not mismatch > MISMATCH_FACTOR * error:
         return None
     size = norm(system.comm, q) or norm(system.comm, Jd)
-    if system.condensation is not None:  # leave K_uu d alone, which J is the form of
+    if system.condensation is not None:  # subtract all but K_uu d: J is the form of K_uu
         ahead, behind = _residuals_around(system, 0.0 * d, h * dp)
         by_fields = np.divide(ahead - behind, 2 * h)  # K_up δp
         q = q - by_fields

@@ -50,8 +50,8 @@ def with_compression(
 ) -> tuple[list[ufl.Form], Sequence[Sequence[ufl.Form | None]] | None, Compression | None]:
     """Add terms to the equations of incompressible fields.
 
-    A field is incompressible if it is scalar, as a pressure is, its equation contains u but none of
-    the fields, and F_u contains it.
+    A field counts as incompressible if it is a scalar, such as a pressure; if its equation contains
+    u but none of the fields; and if F_u contains the field.
 
     Args:
         u: The unknown.

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Linear problems in blocks, as dolfinx has them from 0.10 on: in the order of this package.
+"""Linear problems in blocks, as in dolfinx from 0.10 on, in the order of this package.
 
 The unknowns of ``LinearProblem([[a_uu, a_up], [a_pu, a_pp]], [L_u, L_p])`` may have any order. Here
 the torn one comes first, then the condensed fields; the equations of scalars are kept apart.
@@ -81,7 +81,7 @@ def arrange_linear(
     else:
         unknowns = [dolfinx.fem.Function(_test_space(rows, loads, i)) for i in range(n)]
 
-    # numbers of the unknowns that are no scalars, and the same with the torn one first
+    # numbers of the unknowns that are no scalars; in ``order`` the torn one comes first
     numbers = [i for i, w in enumerate(unknowns) if not is_real(w.function_space)]
     spaces = [unknowns[i].function_space for i in numbers]
     torn = numbers[torn_unknown(spaces, "a", [rows, loads])]

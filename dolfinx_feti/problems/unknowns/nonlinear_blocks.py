@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Nonlinear problems in blocks, as dolfinx has them from 0.10 on: in the order of this package.
+"""Nonlinear problems in blocks, as in dolfinx from 0.10 on, in the order of this package.
 
 The unknowns of ``NonlinearProblem([F_u, F_p, F_s], [u, p, s])`` may have any order. Here the torn
 one comes first, then the condensed fields; the equations of scalars are kept apart.
@@ -73,7 +73,7 @@ def arrange_nonlinear(
         raise ValueError("u holds a Function twice: give each unknown once.")
     energy_or_residuals = _split_residuals(F, len(unknowns))
 
-    # numbers of unknowns: those that are no scalars, and the same with the torn one first
+    # numbers of the unknowns that are no scalars; in ``order`` the torn one comes first
     numbers = [i for i, w in enumerate(unknowns) if not is_real(w.function_space)]
     spaces = [unknowns[i].function_space for i in numbers]
     torn = numbers[torn_unknown(spaces, "u", [energy_or_residuals, J])]
