@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""``python3 -m benchmarks``: the studies, their commands, and what their records took."""
+"""``python3 -m benchmarks``: list the studies, their commands, and the time of their records."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pathlib import Path
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "docs/results"
 
-#: Files of records that are not called as the study.
+#: Names of files of records that differ from the name of the study: ``STUDY.page`` without suffix.
 RECORDS = {"compare": "speed", "cube": "linear", "load_stepping": "loading"}
 
 
 def studies() -> Iterator[tuple[str, str, str]]:
-    """Yield the name of each study, what it measures, and what its records took."""
+    """Yield the name of each study, the first line of its docstring, and :func:`_took`."""
     for path in sorted(HERE.glob("[a-z]*.py")):
         about = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
         records = RESULTS / f"{RECORDS.get(path.stem, path.stem)}.json"
@@ -27,7 +27,7 @@ def studies() -> Iterator[tuple[str, str, str]]:
 
 
 def _took(records: list[dict[str, object]]) -> str:
-    """Return the number of cases, and the sum of their seconds as far as they are recorded."""
+    """Return the number of cases, and the sum of their recorded seconds, as text."""
     names = ("seconds", "seconds_setup", "seconds_solve", "seconds_end_to_end", "seconds_total")
     known = (record.get(name) for record in records for name in names)
     seconds = sum(value for value in known if isinstance(value, int | float))

@@ -11,12 +11,12 @@ under a hundredth more; or with --path P all Newton steps up to P mmHg:
     python3 -m benchmarks.compare --geometry cube --degree 1 --solvers feti --per 500,1000,2000
     python3 -m benchmarks.compare --geometry plate-100 --dofs 30000 --solvers feti,feti-dual,gamg
 
-`peak_mib` is the most memory that a solver took above the matrices, summed over the processes. Of
---rounds, in which the solvers take turns, the record has the one with the median time. --per varies
-the dofs of a subdomain: `seconds_cpu` of FETI is processor time, the least of all rounds. A solver
-that fails, also for want of memory under `ulimit -d KIB`, is recorded with the reason. Run it on
-two processes and on one with OMP_NUM_THREADS=2: the page takes the better one of each solver.
-Prefixes of PETSc's options: `tube_`, `vessel_`, `body_` (FETI), `mumps_`, `gamg_`, …
+`peak_mib` is the peak of the memory that a solver took above the matrices, summed over the
+processes. With --rounds the solvers take turns, and the record has the round with the median time.
+--per varies the dofs of a subdomain; `seconds_cpu` of FETI is then processor time, the least of all
+rounds. A solver that fails is recorded with the reason; `ulimit -d KIB` limits its memory. Run the
+study on two processes, and on one with OMP_NUM_THREADS=2: the page takes the better layout of each
+solver. PETSc's options have the prefixes `tube_`, `vessel_`, `body_` (FETI), `mumps_`, `gamg_`, …
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def _done(case: Record, records: Records, args: Arguments) -> bool:
 
 
 def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
-    """Run a case on its body at rest. Collective."""
+    """Solve the step or the path of a case with each solver; keep their records. Collective."""
     solvers = _solvers(args)
     body = _create_body(case, args.folder, comm)
     problem = getattr(body, "problem", body)
@@ -152,7 +152,10 @@ def _median(rounds: Sequence[list[Record]]) -> list[Record]:
 
 
 def _create_body(case: Record, folder: Path, comm: MPI.Comm) -> bodies.Body | LinearProblem:
-    """Build a body at rest; FETI prints its parts (``ksp_view``) if it solves only once."""
+    """Build the body of a case at rest.
+
+    If FETI solves a single system, it prints its parts (``ksp_view``).
+    """
     geometry = GEOMETRIES[str(case["geometry"])]
     options: dict[str, object] = {}
     solves_once = case["path_mmhg"] is None and case["loaded_mmhg"] is None and "per" not in case

@@ -262,7 +262,7 @@ def wall(comm: MPI.Comm, cells: int = 10) -> Record:
 
 
 def _graded(cells: int, fine: float, *, ratio: float, far: float) -> np.ndarray:
-    """Return places from 0 on: uniform up to ``fine``, then growing by a ratio beyond ``far``."""
+    """Return places from 0: with even steps up to ``fine``, then growing ones beyond ``far``."""
     places = list(np.linspace(0.0, fine, cells + 1))
     step = fine / cells
     while places[-1] < far:
@@ -323,7 +323,7 @@ def _surface(mesh: dolfinx.mesh.Mesh, where: Marker) -> ufl.Measure:
 
 
 def _held(V: dolfinx.fem.FunctionSpace, k: int, where: Marker) -> dolfinx.fem.DirichletBC:
-    """Hold one component on a part of the boundary."""
+    """Return the condition that a component is zero on a part of the boundary."""
     part = V.sub(k)
     dim = V.mesh.topology.dim - 1
     collapsed, _ = part.collapse()
@@ -359,7 +359,7 @@ def _greatest(f: dolfinx.fem.Function, comm: MPI.Comm) -> float:
     return float(comm.allreduce(f.x.array.max(initial=0.0), op=MPI.MAX))
 
 
-#: A body in contact is a function of the communicator that returns its record.
+#: By name: a function that solves a case on a communicator and returns its record.
 CASES: dict[str, Callable[[MPI.Comm], Record]] = {
     "hertz": hertz,
     "tube": tube,
@@ -367,7 +367,7 @@ CASES: dict[str, Callable[[MPI.Comm], Record]] = {
     "wall": wall,
 }
 
-#: What the page shows of a case: its title, the quantity, its error in a record, and the bound [%].
+#: Rows of the page: case, title, quantity, key of its error in a record, bound of the error [%].
 SHOWN = (
     ("hertz", "sphere on a half space", "radius of the contact", "radius_error", 2.0),
     ("hertz", "sphere on a half space", "greatest pressure", "pressure_error", 3.0),

@@ -6,10 +6,10 @@
     mpirun -n 2 python3 -m benchmarks.cube --sets papers,choices --json build/linear.json
     python3 -m benchmarks.cube --sets papers --only degree=1,level=2,type=classical,pc=lumped
 
-Without --sets the cases of the whole study run: the paper's table, and what goes beyond it. If
-nothing else is said, the choices are the paper's: 8 × 8 × 8 subdomains, multiplicity scaling, Q =
-I, full gluing, a reduction of the dual residual by 1e-8; E = 210, ν = 0.45, and on the whole
-surface the displacements of the fundamental solution with its source at (2, 2, 2).
+Without --sets all sets run: the paper's table, and what goes beyond it. Unless a set changes them,
+the choices are the paper's: 8 × 8 × 8 subdomains, multiplicity scaling, Q = I, full gluing, and a
+reduction of the dual residual by 1e-8. The body has E = 210 and ν = 0.45, and on the whole surface
+the displacements of the fundamental solution with its source at (2, 2, 2).
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ WEIGHTS = tuple(itertools.product(("multiplicity", "stiffness"), ("identity", "p
 
 
 def papers() -> Iterator[Case]:
-    """The paper's table, and the same with quadratic elements."""
+    """Yield the cases of the paper's table, and the same with quadratic elements."""
     for degree, levels in ((1, (1, 2, 3)), (2, (1, 2))):
         for level in levels:
             yield from _all(Case(degree=degree, level=level))
 
 
 def choices() -> Iterator[Case]:
-    """One choice at a time that is not the paper's, and this package's own."""
+    """Yield cases with one choice that is not the paper's, and with this package's choices."""
     own = {"scaling": "stiffness", "coarse_q": "preconditioner"}
     changes = (
         {},
@@ -67,7 +67,7 @@ def choices() -> Iterator[Case]:
 
 
 def jumps() -> Iterator[Case]:
-    """Young's modulus jumps between subcubes: a checkerboard, and a stiff layer."""
+    """Yield cases whose Young's modulus jumps between subcubes: a checkerboard, a stiff layer."""
     for pattern, kind, weight in itertools.product(("checkerboard", "layer"), TYPES, WEIGHTS):
         yield from _jumps(pattern, kind, *weight)
 
@@ -79,20 +79,20 @@ def _jumps(pattern: str, kind: str, scaling: str, q: str) -> Iterator[Case]:
 
 
 def growth() -> Iterator[Case]:
-    """More cells in a subdomain, in a cube of 64."""
+    """Yield cases with more and more cells in each of 64 subdomains."""
     for level in LEVELS:
         yield from _all(Case(subdomains_per_edge=4, level=level))
 
 
 def numbers() -> Iterator[Case]:
-    """More subdomains of the same size, with the paper's weight Q and this package's."""
+    """Yield cases with more and more subdomains of one size, with two weights Q."""
     for level, q, edge in itertools.product((1, 2), ("identity", "preconditioner"), (2, 4, 8, 16)):
         yield from _all(Case(level=level, subdomains_per_edge=edge, coarse_q=q), ["dirichlet"])
     yield from _all(Case(subdomains_per_edge=32), ["dirichlet"])
 
 
 def largest() -> Iterator[Case]:
-    """What takes the most memory: the paper's fourth level, and the third of quadratic elements."""
+    """Yield the largest cases: the paper's fourth level, and the third of quadratic elements."""
     for degree, level in ((1, 4), (2, 3)):
         yield from _all(Case(degree=degree, level=level))
 
@@ -102,7 +102,7 @@ SETS = {each.__name__: each for each in (papers, choices, jumps, growth, numbers
 
 
 def _all(case: Case, preconditioners: Sequence[str] = PRECONDITIONERS) -> Iterator[Case]:
-    """Both types with some preconditioners."""
+    """Yield a case with both types and each of the preconditioners."""
     for kind, pc in itertools.product(TYPES, preconditioners):
         yield replace(case, type=kind, pc=pc)
 
@@ -183,7 +183,7 @@ def _fields(records: Sequence[Record]) -> dict[str, object]:
 
 
 def deviations(own: Sequence[Record]) -> tuple[float, int]:
-    """Return the largest deviations from the paper: condition numbers, relative; iterations."""
+    """Return the largest deviations from the paper: κ, relative; iterations."""
     both = [(r, theirs) for r in own if (theirs := _papers_solve(r)) is not None]
     iterations = [abs(r["iterations"] - its) for r, (its, _) in both]
     condition = [abs(r["condition_number"] / known - 1.0) for r, (_, known) in both]
@@ -209,7 +209,7 @@ def _papers(own: Sequence[Record], degree: int, kinds: Iterable[str]) -> Iterato
 
 
 def _solve(record: Record) -> dict[str, str]:
-    """Return iterations and condition number, the paper's in brackets."""
+    """Return iterations and condition number as text, with the paper's in brackets."""
     its = record["iterations"]
     condition = record["condition_number"]
     number = FORMS["number"](condition)
@@ -220,7 +220,7 @@ def _solve(record: Record) -> dict[str, str]:
 
 
 def _errors(records: Sequence[Record]) -> Iterator[dict[str, object]]:
-    """L2 errors and their order (eq. 54), which no preconditioner changes."""
+    """Yield L2 errors and their order (eq. 54), which do not depend on the preconditioner."""
     scale = error_scale(records)
     known = {(r["degree"], r["type"], r["level"]): r for r in records}
     for (degree, kind, level), record in known.items():
@@ -233,20 +233,20 @@ def _errors(records: Sequence[Record]) -> Iterator[dict[str, object]]:
 
 
 def _growth(mine: Sequence[Record]) -> Iterator[Record]:
-    """Condition numbers and iterations with the Dirichlet preconditioner over H/h."""
+    """Yield a row of condition numbers and one of iterations over H/h."""
     for what, name, form in (("κ", "condition_number", ".4g"), ("it.", "iterations", "d")):
         at = {r["level"]: f"{r[name]:{form}}" for r in mine}
         yield mine[0] | {"what": what, "at": at, "sources": mine}
 
 
 def _jumping(mine: Sequence[Record]) -> Record:
-    """Iterations and condition numbers over the jump."""
+    """Return a row of iterations and condition numbers over the jump."""
     at = {f"{r['jump']:.0e}": f"{r['iterations']} ({r['condition_number']:.3g})" for r in mine}
     return mine[-1] | {"at": at, "sources": mine}
 
 
 def fit_growth(records: Sequence[Record]) -> tuple[float, float, float]:
-    """Fit √κ = a + b ln(H/h) over levels; return a, b, and the quotient for which κ is most off."""
+    """Fit √κ = a + b ln(H/h) over levels; return a, b, and one plus the largest error of κ."""
     x = np.log([2.0 ** (r["level"] - 1) for r in records])
     condition = np.array([r["condition_number"] for r in records])
     b, a = np.polyfit(x, np.sqrt(condition), 1)
@@ -254,7 +254,7 @@ def fit_growth(records: Sequence[Record]) -> tuple[float, float, float]:
 
 
 def error_scale(own: Sequence[Record]) -> float:
-    """Return the factor between the paper's L2 errors and ours, that of the source point."""
+    """Return the mean quotient of the paper's L2 errors and ours; its source point is unknown."""
     quotients = [
         paper.L2_ERRORS[r["type"], r["level"]] / r["l2_error"] for r in own if r["degree"] == 1
     ]

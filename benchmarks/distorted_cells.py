@@ -52,20 +52,20 @@ PRESSURES = (20.0, 40.0, 80.0, 120.0)  # mmHg
 
 STEPS = Steps(first=10.0, least=0.1)
 
-#: Degree of the quadrature at whose points det F is evaluated, far more than forms are integrated
-#: by: 81 points in a tetrahedron.
+#: Degree of the quadrature at whose points det F is evaluated: 81 points in a tetrahedron, many
+#: more than those of the forms.
 LOOK = 10
 
-#: How far from the ends a cell lies that counts as away from them: the thickness of the wall [mm].
+#: Distance from the ends beyond which a cell counts as away from them: the wall's thickness [mm].
 AWAY = MEDIA + ADVENTITIA
 
-#: Springs that hold the ends [kPa/mm]: a millimetre at 10 kPa, like soft tissue around a vessel.
+#: Stiffness of the springs at the ends [kPa/mm], like that of soft tissue around a vessel.
 SPRINGS = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """One way to model the tube; what differs from P2–P0 on clamped tetrahedra."""
+    """One way to model the tube; the defaults are P2–P0 on tetrahedra with clamped ends."""
 
     name: str
     quadrature: int = 4  # degree
@@ -227,7 +227,10 @@ class _Look:
         self._expression = dolfinx.fem.Expression(J, points)
 
     def measure(self, problem: NonlinearProblem) -> Record:
-        """Return ranges and numbers of cells, and those that the problem reports. Collective."""
+        """Return the range of det F and the numbers of cells. Collective.
+
+        Keys that begin with ``found_`` have the numbers that the problem reports.
+        """
         comm = self._comm
         dofmap = self._u.function_space.dofmap
         values = self._expression.eval(self._u.function_space.mesh, self._cells)

@@ -5,10 +5,12 @@
 
     python3 -m benchmarks.edit --json build/edit.json
 
-Each edit changes a number in the energy, so that no cache has its forms. Seconds are those of the
-processor, with the C compiler. A block of 960 tetrahedra (P2) is clamped on one side, pulled by a
-body force, and solved twice, also by dolfinx's own problem with MUMPS. An edit before compiles what
-all energies share. The two fields of the three-field energy are condensed; dolfinx solves for them.
+Each edit changes a number in the energy, so that no cache has its forms. Seconds are processor
+time, including that of the C compiler. The body is a block of 960 tetrahedra (P2), clamped on one
+side and pulled by a body force. This package solves it twice for each edit, and so does dolfinx's
+own problem with MUMPS. Before the first edit one more edit compiles the code that all energies
+share. This package condenses the two further fields of the three-field energy; dolfinx solves for
+them.
 """
 
 from __future__ import annotations
@@ -44,7 +46,7 @@ Solve = Callable[[], object]
 
 RTOL = 1e-8
 
-#: What is given, its name in the picture, and its colour.
+#: By what the problem is given: its name in the picture, and its colour.
 ROUTES = {
     "dolfinx": ("dolfinx and MUMPS", COLOURS[0]),
     "residual": ("residual given", COLOURS[1]),
@@ -74,7 +76,7 @@ def active(C: Expr, J: Expr, c: float) -> Expr:
 
 
 def viscous(C: Expr, J: Expr, c: float) -> Expr:
-    """The first one with three branches, each with the stress that it remembers."""
+    """Holzapfel, Gasser, Ogden with three viscoelastic branches, each with an earlier stress."""
     (u,) = ufl.algorithms.extract_coefficients(C)
     psi = hgo(C, J, c)
     space = dolfinx.fem.functionspace(u.function_space.mesh, ("DG", 0, C.ufl_shape))
@@ -165,12 +167,12 @@ def problem_of(material: str, given: str, mesh: dolfinx.mesh.Mesh) -> Callable[[
 
 
 def seconds() -> float:
-    """Return the time of this process and of the compilers that it has started."""
+    """Return the processor time of this process and of the compilers that it has started."""
     return float(sum(os.times()[:4]))
 
 
 def _run(case: Record, keep: Keep, args: Arguments, _: MPI.Comm) -> None:
-    """Solve each edit twice; ours compiles the forms that all energies share before the first."""
+    """Solve twice for each edit, after one more edit that compiles the code of all energies."""
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 5, 4, 8)
     prepare = problem_of(str(case["material"]), str(case["given"]), mesh)
     if case["given"] != "dolfinx":

@@ -12,7 +12,8 @@ its matrix K definite, on one process with one thread. Two tasks are timed, as t
   solves for the columns of K_IΓ,
 - ``keep``: factor K, and solve for one right-hand side.
 
-MUMPS analyses each matrix anew. The fronts are found once for a pattern, in ``seconds_analysis``.
+MUMPS analyses each matrix anew. The fronts are created once for a pattern, which takes
+``seconds_analysis``.
 """
 
 from __future__ import annotations
@@ -124,7 +125,7 @@ def schur_by_solves(cube: Cube, factor: Factor) -> Array:
 
 
 def find_fronts(cube: Cube, task: str) -> Fronts:
-    """Find the fronts, with the interface if it is not eliminated."""
+    """Create the fronts of the interior for ``eliminate``, those of all dofs for ``keep``."""
     n = cube.K.getSize()[0]
     everything = np.arange(n, dtype=np.int32)
     interface = cube.interface if task == "eliminate" else everything[:0]

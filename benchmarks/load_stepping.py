@@ -5,12 +5,12 @@
 
     python3 -m benchmarks.load_stepping --geometry vessel --pressure 300 --json build/loading.json
 
-A wall is inflated in load steps that adapt, by all-floating and by classical FETI with the
-Dirichlet preconditioner. A record for each accepted step holds its cost, displacement norm and
-stress magnitude at five points A–E, and how well the elements keep their volume. With `--checkpoint
-FOLDER` a run that was interrupted is continued. The page has the paper's figures
+A wall is inflated in adaptive load steps, by all-floating and by classical FETI with the Dirichlet
+preconditioner. There is a record for each accepted step. It has the cost of the step, displacement
+norm and stress magnitude at five points A–E, and how well the elements keep their volume. With
+`--checkpoint FOLDER` an interrupted run is continued. The page has the paper's figures
 (Augustin_fig:timestepping, …Iterations): the stress magnitude over the relative displacement u_rel
-= u_norm / u_max, u_norm (eq. 57) over the pressure, iterations, seconds.
+= u_norm / u_max, and u_norm (eq. 57), iterations and seconds over the pressure.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ FIXED = {"c": 6.0, "kappa": 1000.0, "rtol": 1e-8}
 
 LEAST = 0.05  # mmHg
 
-#: Newton steps that a load step may take: on the way down from fold to fold they are many.
+#: Most Newton steps of a load step. It takes many of them after a fold, where the wall buckles.
 NEWTON_STEPS = 100
 
 DIRECT = "one subdomain, direct"
@@ -103,7 +103,11 @@ def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
 
 
 def _checkpoint(args: Arguments, case: Record, comm: MPI.Comm) -> Checkpoint | None:
-    """Open the folder of a variant; a run that was interrupted is continued there."""
+    """Return the checkpoint of a variant, which continues an interrupted run, or None.
+
+    Raises:
+        ValueError: ``--again`` would overwrite a run.
+    """
     if args.checkpoint is None:
         return None
     folder = args.checkpoint / f"{case['geometry']}-{case['type']}"
@@ -140,12 +144,13 @@ def _state(body: Body, points: Sequence[np.ndarray]) -> Record:
 
 
 def five_points(mesh: dolfinx.mesh.Mesh) -> list[Numbers]:
-    """Choose five cells far from each other; return which of this process's cells each is, or none.
+    """Choose five cells far from each other. Collective.
 
-    The first is the one farthest from the centre of the mesh, each further one the one farthest
-    from those before it.
+    The first is the cell farthest from the centre of the mesh. Each further one is the cell
+    farthest from those before it.
 
-    Collective.
+    Returns:
+        For each point the number of its cell on the process that owns it, (1,), or nothing, (0,).
     """
     n = mesh.topology.index_map(3).size_local
     X = dolfinx.mesh.compute_midpoints(mesh, 3, np.arange(n, dtype=np.int32))
@@ -184,7 +189,7 @@ def _rising(steps: Sequence[Record]) -> list[Record]:
 
 
 def _summary(steps: Sequence[Record]) -> dict[str, object]:
-    """Sum up a run, and give its last state."""
+    """Return a row with the sums of a run and its last state."""
     every = {name: [step[name] for step in steps] for name in steps[0]}
     mean = every["linear_iterations_mean"]
     seconds = every["seconds"]

@@ -5,12 +5,12 @@
 
     python3 -m benchmarks.nonlinear --geometry vessel --degree 1 --json build/nonlinear.json
 
-Both variants, three preconditioners and κ = 10, 100, 1000 kPa, with the paper's choices and with
-the package's own (section *Arterial model on a realistic mesh geometry*). A wall of one layer
-represents the paper's aorta, one of two layers, at the highest κ, its carotid artery. There
-are also decompositions in which one subdomain touches the clamped rim in three points, or not at
-all. The options choose among the cases; on the vessel these are what takes less than two hours.
-A case that fails is recorded with the reason.
+The cases have both variants, three preconditioners and κ = 10, 100, 1000 kPa, with the paper's
+choices and with the package's own (section *Arterial model on a realistic mesh geometry*). A wall
+of one layer represents the paper's aorta. A wall of two layers, at the highest κ, represents its
+carotid artery. In some decompositions one subdomain touches the clamped rim in three points, or not
+at all. The options select cases. The cases of the vessel are those that take less than two hours. A
+case that fails is recorded with the reason.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from dolfinx_feti.output import writable_folder
 
 KAPPA = (10, 100, 1000)
 
-#: Edges [mm], subdomains and load [mmHg]: a thin wall at rest would buckle under 1 mmHg.
+#: Edges [mm], subdomains and load [mmHg]. The paper's 1 mmHg would make the vessel buckle.
 WALLS = {"tube": (0.3, 8, 1.0), "vessel": (1.19, 64, 0.2)}
 
 #: Keys that distinguish cases, and sets of values: all combinations, with all choices and types.
@@ -60,7 +60,7 @@ SETS = (
     (["vessel"], [2], [1], ["whole"], [100], ["dirichlet"]),
 )
 
-#: Most Newton steps: with the paper's tangent as many as it took at least.
+#: Most Newton steps. With the paper's tangent they are as many as the paper took at least.
 NEWTON_STEPS = {"paper": 4, "default": 20}
 
 #: Keys of a mesh and its decomposition.
@@ -95,7 +95,10 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
 
 
 def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
-    """Load a wall, torn into parts, and record what it took, until a ``failure``. Collective."""
+    """Load the wall of a case, and keep a record of sizes, iterations and seconds. Collective.
+
+    If Newton's method fails, the record has the reason as ``failure``.
+    """
     folder = writable_folder(args.folder, comm)
     wall, _ = open_wall(str(case["geometry"]), comm, size=case["size"], folder=folder)
     part = first_step.partition(wall, int(case["subdomains"]), str(case["contact"]))
@@ -194,7 +197,7 @@ def _papers(record: Record) -> tuple[int | None, float | None] | None:
 
 
 def _cells(record: Record) -> Record:
-    """Return mean iterations, those of each step, and seconds; or that it failed."""
+    """Return mean iterations, those of each step, and seconds; "failed" for a failure."""
     if "failure" in record:
         return {"its": "failed"}
     steps = ", ".join(map(str, record["linear_iterations_per_newton"]))
@@ -202,7 +205,7 @@ def _cells(record: Record) -> Record:
 
 
 def _volumes(usual: Sequence[Record]) -> list[Record]:
-    """Return J by wall, which does not depend on how a system is solved."""
+    """Return a row of volume ratios for each wall and κ; they do not depend on the solver."""
     solved = [r for r in usual if "failure" not in r and r["choices"] == "default"]
     rows = [_named(mine[0]) for _, mine in groups(solved, *WALL, "kappa")]
     names = ("geometry", "layers", "kappa", "degree", "cells")
@@ -210,7 +213,7 @@ def _volumes(usual: Sequence[Record]) -> list[Record]:
 
 
 def _contacts(records: Sequence[Record]) -> Iterator[Record]:
-    """Yield the cases of a subdomain that touches the clamped rim in a few points, or not."""
+    """Yield a row for each case whose subdomain touches the rim in a few points, or not at all."""
     touched = [r for r in records if r["contact"] != "whole"]
     names = ("geometry", "degree", "kappa", "pc", "choices", "type")
     for _, mine in sorted(groups(touched, *names), key=lambda item: item[0]):

@@ -5,10 +5,10 @@ r"""Random walls, from rest to 120 mmHg with the defaults.
 
     python3 -m benchmarks.random_walls --seeds 20 --json build/random_walls.json
 
-A seed decides everything: a bent tube or a bifurcation, with a sac or not, one to three layers of
-their own stiffness and fibres, a plaque up to a thousand times stiffer or none, and openings that
-are clamped or on springs. A wall that does not arrive leaves a record with the message that the
-user would read.
+A seed determines a wall: a bent tube or a bifurcation, with or without a sac, one to three layers
+with their own stiffness and fibres, with or without a plaque up to a thousand times stiffer, and
+openings that are clamped or on springs. If a wall does not reach the pressure, its record has the
+message of the error.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ STEPS = Steps(first=10.0, least=0.1)
 
 @dataclass(frozen=True, slots=True)
 class Chance:
-    """What a seed decides."""
+    """Parameters of a random wall."""
 
     branches: int
     sac: bool
@@ -69,7 +69,7 @@ class Chance:
 
 
 def draw(seed: int) -> Chance:
-    """Decide by a seed."""
+    """Return the parameters that a seed determines."""
     random = np.random.default_rng(seed)
     branches = int(random.integers(2, 4))
     layers = int(random.integers(1, 4))
@@ -174,7 +174,7 @@ def _create(seed: int, chance: Chance, comm: MPI.Comm) -> Wall:
 
 
 def _plaque(wall: Wall, seed: int, chance: Chance) -> dolfinx.fem.Function:
-    """Return how many times as stiff as its layer each cell is."""
+    """Return the stiffness of each cell relative to that of its layer."""
     factor = dolfinx.fem.Function(dolfinx.fem.functionspace(wall.mesh, ("DG", 0)))
     random = np.random.default_rng([seed, 2])
     angle = random.uniform(0.0, 2 * np.pi)
@@ -190,7 +190,7 @@ def _plaque(wall: Wall, seed: int, chance: Chance) -> dolfinx.fem.Function:
 
 
 def _describe(chance: Chance) -> str:
-    """Return in words what the seed has decided."""
+    """Return the parameters of a wall in words."""
     words = ["bent tube" if chance.branches == 2 else "bifurcation"]
     if chance.sac:
         words.append("a sac")

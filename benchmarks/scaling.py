@@ -5,15 +5,19 @@
 
     python3 -m benchmarks.scaling --geometry vessel --processes 1,2 --json build/scaling.json
 
-The load step to 0.2 mmHg with κ = 100 kPa, P1–P0 and the lumped preconditioner (section *Strong
-scaling for nonlinear elasticity*, tables Augustin_tab:aorta_scaling and carotis_scaling):
-all-floating FETI on the wall of one layer, classical FETI on that of two. --processes are measured,
-at most as many as there are cores. --count are counted, any number on any machine: messages, bytes,
-neighbours, reductions and coarse solves of an iteration and of a set-up. ``--predict DOFS
-PROCESSES`` runs nothing: it prints what the model makes of the records.
+The load step goes to 0.2 mmHg with κ = 100 kPa, P1–P0 and the lumped preconditioner (section
+*Strong scaling for nonlinear elasticity*, tables Augustin_tab:aorta_scaling and carotis_scaling).
+It is solved by all-floating FETI on the wall of one layer, and by classical FETI on that of two
+layers.
 
-For each number of processes a separate program is started with mpirun: a case that fails does not
-end the others, and measured runs do not load the library that counts. Do not run this with mpirun.
+Runs on --processes are measured; there may be as many as there are cores. Runs on --count are
+counted, with any number on any machine: messages, bytes, neighbours, reductions and coarse solves
+of an iteration and of a set-up. ``--predict DOFS PROCESSES`` runs nothing; it prints the seconds
+that the model predicts from the records.
+
+The study starts a separate program with mpirun for each number of processes. A case that fails does
+not end the others, and measured runs do not load the library that counts. Do not start the study
+itself with mpirun.
 """
 
 from __future__ import annotations
@@ -48,14 +52,14 @@ from dolfinx_feti.meshes.arguments import count
 #: Variant by layers of the wall: the paper's aorta, its carotid artery.
 TYPES = {1: "all_floating", 2: "classical"}
 
-#: Environment in which Open MPI puts several processes on a core; MPICH does so by itself.
+#: Environment that lets Open MPI put several processes on a core; MPICH always does.
 SHARED_CORES = {
     "OMPI_MCA_rmaps_base_oversubscribe": "1",
     "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
     "OMPI_MCA_mpi_yield_when_idle": "1",
 }
 
-#: Environment of a process that mpirun has started, which another mpirun must not see.
+#: Beginnings of the variables of a process that MPI has started; another mpirun must not see them.
 INHERITED = ("PMI_", "PMIX_", "PRTE_", "OMPI_COMM_WORLD_", "OMPI_FILE_", "OMPI_UNIVERSE_")
 
 #: Records of the page.
@@ -64,7 +68,7 @@ KEPT = Path(__file__).parents[2] / "docs/results/scaling.json"
 #: Preconditioners of the two choices.
 PC = {"paper": "lumped", "default": "dirichlet"}
 
-#: What cases share that differ in their number of processes alone.
+#: Keys of a series: cases that differ only in their number of processes.
 CASE = ("geometry", "size", "subdomains", "layers", "choices")
 
 #: Processes of weak scaling, as many dofs on each.
@@ -73,7 +77,7 @@ WEAK = (512, 10_000)
 #: Parts that the page shows.
 SHOWN = ("local", "krylov", "total")
 
-#: The model's machine, in microseconds, GB/s and Gflop/s.
+#: Factors from the units of the model's cluster to those of the page: µs, GB/s and Gflop/s.
 UNITS = {"latency": 1e6, "node": 1, "bus": 1}
 UNITS |= dict.fromkeys(("bandwidth", "stream", "rate", "disk"), 1e-9)
 CLUSTER = {name: unit * getattr(model, name.upper()) for name, unit in UNITS.items()}
@@ -102,7 +106,10 @@ def _options(parser: argparse.ArgumentParser) -> None:
 
 
 def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
-    """Yield the cases: counted first, for that is quick."""
+    """Yield the cases; counted ones come first, as they are quick.
+
+    With ``--predict`` it prints the prediction, and yields none.
+    """
     if args.predict:
         (kept,) = args.json or [KEPT]
         known = read_records(kept, STUDY.known, STUDY.page)
@@ -123,7 +130,11 @@ def _processes(args: Arguments, task: str) -> Sequence[int]:
 
 
 def _run(case: Record, keep: Keep, args: Arguments, _comm: MPI.Comm) -> None:
-    """Run a case on its processes."""
+    """Run a case as a program of its own, and keep its record.
+
+    Raises:
+        ConvergenceError: The program failed; the message has the end of its output.
+    """
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "record.json"
         inside = json.dumps(case | {"folder": str(args.folder)})
@@ -178,7 +189,7 @@ def predict(records: Sequence[Record], dofs: int, processes: int) -> Iterator[st
 
 @dataclass(frozen=True, slots=True)
 class _Series:
-    """Cases that differ in their number of processes alone, in rising order, and their model."""
+    """Cases that differ only in their number of processes, in rising order, and their model."""
 
     layers: int
     choices: str
@@ -187,13 +198,13 @@ class _Series:
     model: Model | None
 
     def section(self, rows: Iterable[Fields], **fields: object) -> list[dict[str, object]]:
-        """Return a section with its names, and what the first case has."""
+        """Return a section of the page with the names of the series and its first case."""
         first = (self.measured or self.counted)[0]
         return section(rows, **(first | self.names | fields))
 
     @property
     def dofs(self) -> int:
-        """The paper's."""
+        """Dofs of the paper's mesh."""
         return paper.DOFS[self.layers, 1]
 
     @property
@@ -203,7 +214,7 @@ class _Series:
 
     @property
     def names(self) -> dict[str, str]:
-        """Its names on the page."""
+        """Names of type, choices and artery on the page."""
         kind = NAMES[TYPES[self.layers]]
         return {"kind": kind, "chosen": CHOICES[self.choices], "artery": ARTERIES[self.layers]}
 
@@ -238,7 +249,7 @@ def _series(records: Sequence[Record]) -> Iterator[_Series]:
 
 
 def _counts(series: _Series) -> Iterator[Record]:
-    """Yield the counted cases; messages to each have grown from those of the first with any."""
+    """Yield the counted cases, with the growth of messages to each from the first case."""
     first = next((r["messages_to_each"] for r in series.counted if r["messages_to_each"]), None)
     for r in series.counted:
         to_each = r["messages_to_each"]
@@ -248,7 +259,7 @@ def _counts(series: _Series) -> Iterator[Record]:
 
 
 def _times(series: _Series) -> Iterator[dict[str, object]]:
-    """Yield seconds and efficiencies of the measured cases, and what the model foresees."""
+    """Yield seconds and efficiencies of the measured cases, and the seconds of the model."""
     every = [{part: r[f"seconds_{part}"] for part in SHOWN} for r in series.measured]
     for r, s in zip(series.measured, every, strict=True):
         P = int(r["processes"])
@@ -258,7 +269,7 @@ def _times(series: _Series) -> Iterator[dict[str, object]]:
 
 
 def _model_rows(series: _Series) -> Iterator[dict[str, object]]:
-    """Yield the model's seconds and efficiencies beside the paper's, of as many dofs."""
+    """Yield the model's seconds and efficiencies on the paper's mesh, and the paper's."""
     begin = paper.FIRST
     theirs = paper.TIMES[series.layers]
     refined = series.refined
@@ -272,12 +283,12 @@ def _model_rows(series: _Series) -> Iterator[dict[str, object]]:
 def _efficiencies(
     begin: int, first: Mapping[str, float], P: int, times: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return the efficiencies of what is shown, 1 on the first number of processes."""
+    """Return the efficiencies of the parts in SHOWN, relative to ``begin`` processes."""
     return {part: efficiency(begin, first[part], P, times[part]) for part in SHOWN}
 
 
 def _limits(series: _Series) -> Iterator[dict[str, object]]:
-    """Yield the shares of the parts in all of the time and in the iterations [%]."""
+    """Yield the shares of the parts in the total time, and in that of the Krylov method [%]."""
     for P in (max(paper.TIMES[series.layers]), FURTHER):
         foreseen = series.model.predict(P, series.refined)
         for whole, parts in {"total": model.PARTS, "Krylov": model.KRYLOV}.items():
@@ -287,7 +298,10 @@ def _limits(series: _Series) -> Iterator[dict[str, object]]:
 
 
 def _weak(series: _Series) -> dict[str, object]:
-    """Return Krylov and coarse set-up on WEAK processes, the paper's dofs on the fewest."""
+    """Return seconds of Krylov method and coarse set-up on the two numbers of processes WEAK.
+
+    The fewer processes have the dofs of the paper's mesh.
+    """
     dofs = series.dofs
     (few, many) = WEAK
     foreseen = (series.model.predict(P, series.refined * P / few) for P in WEAK)

@@ -30,7 +30,7 @@ from benchmarks.common.walls.inflated_tube import ELEMENTS
 
 PARTS = {"published": published, "tube": tube, "inf-sup": inf_sup}
 
-#: The field that only the records of this part have, and its values.
+#: By part: the field that only its records have, and the values of this field.
 FIELD_OF = {
     published: ("case", list(CASES)),
     tube: ("element", list(ELEMENTS)),

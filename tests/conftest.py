@@ -48,13 +48,13 @@ for name, value in VARIABLES.items():
 COMM = MPI.COMM_WORLD
 PREFIX = "test_"
 
-# Whether a compilation takes long depends on the machine; what tests expect in the log does not.
+# The message of a long compilation depends on the machine; tests compare the log.
 logging.getLogger("dolfinx_feti.compilation").disabled = True
 TESTS = Path(__file__).parent
 
-#: Tests to which a third process adds no coverage: of one cell, subdomain or material, of whole
-#: studies, and of what uses the solver. Gluing, coarse spaces and decompositions, where three
-#: processes may meet in a node, run on three.
+#: Tests to which a third process adds no coverage: of a cell, a subdomain or a material, of whole
+#: studies, and of code that uses the solver. Gluing, coarse spaces and decompositions run on three
+#: processes, which may share a node.
 AT_MOST_TWO = [
     TESTS / name
     for name in (
@@ -78,12 +78,12 @@ AT_MOST_TWO = [
     )
 ]
 
-#: Meshes of the current test: PETSc's garbage is looked up on their communicators.
+#: Meshes of the current test; :func:`clean` looks for PETSc's garbage on their communicators.
 _meshes: list[dolfinx.mesh.Mesh] = []
 
 
 def remembered(init: Callable[..., None]) -> Callable[..., None]:
-    """Return the constructor of a mesh that also lists the mesh, with its communicator."""
+    """Return a constructor of meshes that also appends the mesh to ``_meshes``."""
 
     @functools.wraps(init)
     def remember(mesh: dolfinx.mesh.Mesh, *args: object, **kwargs: object) -> None:
@@ -97,10 +97,11 @@ dolfinx.mesh.Mesh.__init__ = remembered(dolfinx.mesh.Mesh.__init__)  # type: ign
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Require ids that one can type; deselect tests not run on this number of processes.
+    """Refuse ids that one cannot type; deselect tests that do not run on this number of processes.
 
-    On several: those marked ``serial``, and those that :func:`each_choice` does not choose. On more
-    than two: ``AT_MOST_TWO``. On more than three: all that are not marked with the number.
+    On several processes these are the tests marked ``serial``, and the parametrisations that
+    :func:`each_choice` does not choose. On more than two they are also those of ``AT_MOST_TWO``. On
+    more than three only tests that are marked with the number run.
     """
     ids = {item.nodeid: item.callspec.id for item in items if hasattr(item, "callspec")}
     untypable = [node for node, name in ids.items() if not TYPABLE.fullmatch(name)]
@@ -129,10 +130,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def each_choice(items: list[pytest.Item]) -> Iterable[pytest.Item]:
-    """Yield few of a test's parametrisations that together have every value of every parameter.
+    """Yield a few parametrisations of a test that together have every value of every parameter.
 
-    One process runs all combinations. Two combine each value with the first values that are not yet
-    covered, three with the last ones, so that they run different combinations.
+    One process runs all combinations. On two processes the choice goes through them from the first
+    to the last, on three from the last to the first, so that they run different combinations.
     """
     rest = items if COMM.size == 2 else items[::-1]
     missing = set[object]().union(*map(values, rest))
@@ -143,7 +144,7 @@ def each_choice(items: list[pytest.Item]) -> Iterable[pytest.Item]:
 
 
 def values(item: pytest.Item) -> set[object]:
-    """Return the values of a test's parameters; those parametrised together are one value."""
+    """Return the values of a test's parameters; parameters of one decorator are one value."""
     given = getattr(item, "callspec", None)
     if given is None:
         return {item}
@@ -154,12 +155,12 @@ def values(item: pytest.Item) -> set[object]:
 
 
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
-    """Return an id of a parameter that one can type without quotes, or None for pytest's."""
+    """Return an id of a parameter that one can type without quotes; None if pytest's is one."""
     return id_of(val, argname)
 
 
 def pytest_collection_finish() -> None:
-    """Exclude the objects of the imports from later collections of garbage."""
+    """Exclude objects that imports have created from later collections of garbage."""
     collect()
 
 
@@ -171,7 +172,7 @@ def collect() -> None:
 
 @pytest.fixture(autouse=True)
 def clean() -> Iterator[None]:
-    """Fail if a test leaves PETSc options, or objects that processes have to destroy together."""
+    """Fail if a test leaves PETSc options, or objects whose ``destroy`` is collective."""
     before = PETSc.Options().getAll()
     yield
     collect()
@@ -187,7 +188,7 @@ def clean() -> Iterator[None]:
 
 @pytest.fixture
 def tmp_path(tmp_path: Path) -> Path:
-    """The folder of the first process, on all processes."""
+    """The temporary folder of the first process, on all processes."""
     return COMM.bcast(tmp_path)
 
 
@@ -200,7 +201,7 @@ def lifetime() -> Iterator[Lifetime]:
 
 @pytest.fixture
 def without_collector() -> Iterator[None]:
-    """Disable the garbage collector during a test: reference counting frees objects."""
+    """Disable the garbage collector during a test, so that only reference counts free objects."""
     collect()
     gc.disable()
     yield
@@ -271,7 +272,7 @@ def read_pattern(lifetime: Lifetime) -> Callable[..., Pattern]:
 
 @pytest.fixture
 def create_ksp(lifetime: Lifetime) -> Callable[..., PETSc.KSP]:
-    """Make a KSP with a FETI context for a torn matrix, options without prefix as keywords."""
+    """Create a KSP with a FETI context for a torn matrix; options are keywords without prefix."""
     prefixes = (f"test{i}_" if i else PREFIX for i in itertools.count())
 
     def create(
@@ -293,7 +294,7 @@ def create_ksp(lifetime: Lifetime) -> Callable[..., PETSc.KSP]:
 
 @pytest.fixture
 def solve_linear() -> Callable[..., dolfinx_feti.LinearProblem]:
-    """Solve a problem with LinearProblem; the values of ``options`` are without prefix."""
+    """Solve a problem with LinearProblem; ``options`` are PETSc options without prefix."""
 
     def run(
         problem: Problem, subdomains: object, options: Mapping[str, object] | None = None

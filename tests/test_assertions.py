@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A failing assertion says on all processes what was compared, with both numbers."""
+"""A failing assertion shows on all processes what was compared, and both values."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What of a test with several parameters is tried on several processes, see ``conftest.py``."""
+"""Which combinations of parameters run on several processes; see ``each_choice`` in conftest.py."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_combination(letter, one, other):
 
 
 def test_each_choice():
-    """All combinations on one process; else four, with all letters and all of the pairs."""
+    """One process runs all combinations; several run four, with every letter and every pair."""
     if not TRIED:
         pytest.skip("test_combination, whose choice this looks at, is not selected")
     if COMM.size == 1:

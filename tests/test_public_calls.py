@@ -1,9 +1,9 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Every public call of loading, output, diagnosis and comparison has its test.
+"""Every public function or class of loading, output, diagnosis and comparison is called by a test.
 
-Those that only work for others are called here, on all processes together.
+Functions that other tests only use indirectly are called here.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ TESTS = Path(__file__).parent
 
 
 def public(room: str) -> dict[str, object]:
-    """What a room declares: in its own ``__all__``, or in those of its files."""
+    """Return the public names of a room: those of its ``__all__``, or of those of its files."""
     folder = importlib.import_module(f"dolfinx_feti.{room}")
     if not hasattr(folder, "__all__"):
         names = [module.name for module in rooms.modules() if module.name.startswith(f"{room}.")]
@@ -48,7 +48,7 @@ def test_every_public_call_has_its_test(room):
 
 
 def test_calls_that_work_for_others():
-    """The figures of a solver, and its cost and error beside MUMPS."""
+    """The figures of a solver are the same on all processes; its solution agrees with MUMPS's."""
     body = elasticity(cube(3, 3))
     problem = LinearProblem(body.a, body.L, bcs=body.bcs, subdomains=6)
     A, b = problem.linear_system()

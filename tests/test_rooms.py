@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The rooms of the package and the arrows between them, read off its folders and imports."""
+"""The rooms of the package, its folders, import each other in one order only."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def tree(path: Path) -> ast.Module:
 
 
 def imports(path: Path) -> set[str]:
-    """Full names that a file imports anywhere."""
+    """Return the full names that a file imports, at any place in it."""
     names = set()
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.Import):
@@ -41,7 +41,7 @@ def imports(path: Path) -> set[str]:
 
 
 def own(path: Path) -> set[str]:
-    """Modules of the package that a file imports."""
+    """Return the modules of the package that a file imports."""
     found = set()
     for name in imports(path):
         if name.startswith("dolfinx_feti."):
@@ -56,12 +56,12 @@ def own(path: Path) -> set[str]:
 
 
 def foreign(path: Path) -> set[str]:
-    """Packages that a file imports."""
+    """Return the names of the other packages that a file imports."""
     return {name.split(".")[0] for name in imports(path)} - {"dolfinx_feti"}
 
 
 def everything_below(names: set[str]) -> set[str]:
-    """Modules that these import, directly or not, and themselves."""
+    """Return some modules, and all that they import directly or indirectly."""
     known: set[str] = set()
     while names - known:
         known |= names
@@ -77,15 +77,15 @@ def test_every_file_has_its_place_in_the_order():
 
 
 def test_imports_follow_the_order_of_the_data():
-    """A module imports only what comes before it, so there is no circle either."""
+    """A module imports only modules that come before it; so there is no circular import."""
     place = {name: i for i, name in enumerate(MODULES)}
     for name, module in MODULES.items():
         later = {other for other in own(module.path) if place[other] >= place[name]}
         assert not later, f"{name} imports {later}"
 
 
-#: What a room knows, directly or not: rooms, and packages beside Python's own. The solver knows no
-#: finite elements, which hand over at the torn matrix; mechanics is UFL, and knows no solver.
+#: What a room imports, directly or indirectly: other rooms, and packages other than Python's own.
+#: The solver imports no finite elements; its input is the torn matrix. Mechanics imports no solver.
 KNOWS = {
     "feti": ("errors runtime torn", "cffi mpi4py numpy petsc4py scipy"),
     "fem": ("errors runtime torn", "basix cffi dolfinx ffcx mpi4py numpy petsc4py scipy ufl"),
@@ -112,7 +112,7 @@ def test_what_a_room_knows(room):
 
 
 def test_generated_pages_are_up_to_date(monkeypatch, capsys):
-    """And a stale one is noticed."""
+    """Also, ``--check`` notices a page that is out of date."""
     assert rooms.main(["--check"]) == 0, "run python3 scripts/rooms.py"
     monkeypatch.setattr(rooms, "equations_page", lambda: "another table")
     assert rooms.main(["--check"]) == 1
@@ -120,14 +120,14 @@ def test_generated_pages_are_up_to_date(monkeypatch, capsys):
 
 
 def test_overview_names_every_file():
-    """Once, with the first line of its docstring."""
+    """It has each file once, with the first line of its docstring."""
     overview = rooms.overview()
     for module in MODULES.values():
         assert overview.count(f"`{module.path.name}` | {module.summary} |") == 1
 
 
 def lined_up(folder: Path) -> list[Path]:
-    """Files of a folder and of those in it, in the order that it gives; then what it does not."""
+    """Return the files below a folder, in the order that the docstrings of folders give."""
     named = [folder / name for name in rooms.order(folder)]
     found = [p for n in named for p in (lined_up(n) if n.is_dir() else [n.with_suffix(".py")])]
     assert all(path.is_file() for path in found), found
@@ -135,7 +135,7 @@ def lined_up(folder: Path) -> list[Path]:
 
 
 def beside(path: Path, folder: str) -> set[Path]:
-    """Files of a folder beside the package that a file imports."""
+    """Return the files of a folder next to the package that a file imports."""
     dotted = (name.split(".") for name in imports(path) if name.startswith(f"{folder}."))
     places = (ROOT.joinpath(*names[:n]) for names in dotted for n in range(2, len(names) + 1))
     return {p.with_suffix(".py") for p in places if p.with_suffix(".py").is_file()}
@@ -143,7 +143,7 @@ def beside(path: Path, folder: str) -> set[Path]:
 
 @pytest.mark.parametrize("folder", ["meshes", "benchmarks"])
 def test_folders_beside_the_package_follow_their_order(folder):
-    """A command line, ``__main__``, comes last."""
+    """``__main__`` is not in the order: it may import all others."""
     order = lined_up(ROOT / folder)
     commands = sorted((ROOT / folder).rglob("__main__.py"))
     named = {path for path in files(folder) if path.name != "__init__.py"}
@@ -171,7 +171,7 @@ def test_a_study_has_its_page_and_knows_only_common():
     ],
 )
 def test_a_folder_knows_nothing_of_those_who_use_it(folder, users):
-    """Nor does it change the path of modules: ``scripts/with-fenicsx`` or an installation does."""
+    """``sys.path`` is not changed either: ``scripts/with-fenicsx`` or an installation does it."""
     for path in files(folder):
         assert not foreign(path) & users, path
         assert "sys.path" not in path.read_text(), path
@@ -184,7 +184,7 @@ def test_every_file_has_licence_and_docstring():
         assert rooms.docstring(path), path
 
 
-#: Rooms that users do not import from: in these a name without underscore is what other files use.
+#: Rooms that users do not import from. There a name without underscore is used by other files.
 INNER = ("feti.", "fem.", "problems.", "runtime.", "torn.")
 
 
@@ -196,7 +196,7 @@ def test_public_names_are_declared_and_exist(name):
 
 
 def test_versions_are_told_apart_in_one_place():
-    """Nor is there a communicator but that of mesh or matrix: a command begins with all."""
+    """So is ``COMM_WORLD``; others use the communicator of their mesh or matrix."""
     for name in set(MODULES) - {"runtime.compat", "meshes.arguments"}:
         nodes = ast.walk(tree(MODULES[name].path))
         used = {node.attr for node in nodes if isinstance(node, ast.Attribute)}

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Bodies of a given energy, how they are held and loaded; linear bodies; meshes of a given size.
+"""Bodies of a given energy with supports and loads; linear bodies; meshes of a given size.
 
 The energy of a :class:`Body` is Ψ(C, J) + p (J − 1) − p²/(2κ) per unit reference volume.
 Millimetres and kPa. All functions are collective.
@@ -37,13 +37,13 @@ PLATE_WIDTH = 0.6
 INCLUSION_RADIUS = 0.12
 INCLUSIONS_PER_EDGE = 3
 
-#: A component of the displacement, or all of them, that is zero on a surface.
+#: A component of the displacement, or all of them (None), that is zero, and the facets where it is.
 Held = tuple[int | None, Indices]
 
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """Displacement u [mm], pressure p [kPa], where u is held, and the stored energy [mN mm]."""
+    """Displacement u [mm], pressure p [kPa], Dirichlet conditions, and stored energy [mN mm]."""
 
     u: dolfinx.fem.Function
     p: dolfinx.fem.Function
@@ -54,17 +54,17 @@ class Solid:
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A body: its unknowns, residuals (tested with v and q), and how it is held and loaded."""
+    """A body: its unknowns, residuals (tested with v and q), supports, problem and load."""
 
     u: dolfinx.fem.Function
     p: dolfinx.fem.Function
     residuals: tuple[ufl.Form, ufl.Form]
     held: Sequence[Held]
     problem: NonlinearProblem
-    load: dolfinx.fem.Constant
+    load: dolfinx.fem.Constant  # share of the load that create_body was given
     stress: Expr  # Cauchy's σ [kPa]
     measure: Callable[[], dict[str, float]]  # of the state in u and p; collective
-    unit: float = 1.0  # of the load
+    unit: float = 1.0  # share of the load for a value of 1 in set_load and inflate
 
     @property
     def dofs(self) -> int:
@@ -77,7 +77,7 @@ class Body:
         self.load.value = value * self.unit
 
     def inflate(self, to: Sequence[float], steps: Steps, **settings: object) -> list[LoadStep]:
-        """Follow the load from equilibrium to equilibrium, see ``follow_load``."""
+        """Follow the load to each of the values ``to``, in units; see ``follow_load``."""
         state = [self.u, self.p]
         return follow_load(self.problem, self.set_load, to, steps, state=state, **settings)
 
@@ -142,7 +142,8 @@ def create_body(
         energy: Ψ(C, J, share of the load) [kPa].
         held: Components of u, or all of them (None), that are zero, and their facets.
         loaded: Facets under the load, sorted.
-        load: A pressure that follows the surface, or a force per reference area, (3,) [kPa].
+        load: A pressure that follows the surface, which has to be a float, or a force per
+            reference area, (3,) [kPa]. Both are multiplied by the share of the load.
         measure: Returns from u the quantities that are compared.
         grip: Factor of a penalty ½ grip ‖∂u/∂X‖² [kPa mm] that keeps the loaded surface flat.
         degree: Of the displacement; the quadrature has twice that degree.
@@ -208,7 +209,7 @@ def create_neo_hookean(
         mesh: Mesh of the unit cube.
         kappa: κ [kPa].
         held: Facets of each clamped face.
-        load: A pressure, or a dead load (3,), at the load 1 [kPa].
+        load: A pressure, or a dead load (3,), at the share 1 of the load [kPa].
         degree: Of the displacement.
         settings: Further arguments of the problem; PETSc options have the prefix ``body_``.
     """
@@ -314,7 +315,7 @@ def create_plate(
 ) -> dolfinx.mesh.Mesh:
     """Mesh a plate of one layer of hexahedra, 1 × 0.6 × 1/slenderness.
 
-    There are n cells along it, for n² 0.6 degree² (degree + 1) nodes.
+    With n cells along the plate there are some 0.6 n² degree² (degree + 1) nodes.
 
     Args:
         comm: Communicator.
@@ -330,7 +331,9 @@ def create_plate(
 def create_unit_mesh(
     comm: MPI.Comm, *, dofs: int, degree: int, dim: int, components: int
 ) -> dolfinx.mesh.Mesh:
-    """Mesh a square or cube with n simplices along an edge, for (n degree + 1)^dim nodes.
+    """Mesh a square or cube with simplices.
+
+    With n cells along an edge there are (n degree + 1)^dim nodes.
 
     Args:
         comm: Communicator.

@@ -16,6 +16,7 @@ import numpy as np
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.events import seconds_of
 
+#: Called after a solve with the KSP, the right-hand side and the solution.
 Then = Callable[[PETSc.KSP, PETSc.Vec, PETSc.Vec], object]
 
 
@@ -43,8 +44,8 @@ def event_clock(names: Sequence[str], comm: MPI.Comm) -> Callable[[], dict[str, 
 class Stopwatch:
     """Times of set-up and Krylov method for each solve of a KSP, such as that of Newton's method.
 
-    What comes before the norm of the first residual is the set-up. Processor time is that of one
-    process alone, which other work on the machine hardly disturbs.
+    The set-up ends when the KSP monitors the norm of the first residual. Other work on the machine
+    disturbs processor time less than the clock.
     """
 
     def __init__(self, comm: MPI.Comm) -> None:

@@ -21,8 +21,8 @@ def add_choices(parser: argparse.ArgumentParser, name: str, choices: Sequence[ob
     """Add an option for one or more of the choices.
 
     Args:
-        parser: Takes the option.
-        name: Of the option, ``--name``.
+        parser: The parser that gets the option.
+        name: Name of the option, with dashes.
         choices: Possible values; the default is all of them.
     """
     values = ",".join(map(str, choices))
@@ -43,7 +43,7 @@ def add_size(parser: argparse.ArgumentParser) -> None:
 
 
 def say(text: str, comm: MPI.Comm, file: IO[str] | None = None) -> None:
-    """Print a line on the first process; what fails there fails on all. Collective."""
+    """Print a line on the first process; an error there is raised on all. Collective."""
     on_root(lambda: print(text, file=file, flush=True), comm)
 
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""The paper's cube: elasticity with the fundamental solution all round, and its cases.
+r"""The paper's cube: elasticity with the fundamental solution prescribed on the whole surface.
 
 Kelvin's fundamental solution is the displacement of the whole space under a unit force at
 :math:`x^*` in the direction of the first axis, and the exact solution in the cube:
@@ -56,7 +56,18 @@ PATTERNS = {
 class Case:
     """Parameters of a case; the defaults are the paper's.
 
-    ``reorthogonalize`` is CG with full reorthogonalisation.
+    Args:
+        degree: Degree of the displacement.
+        level: Level of refinement: 2^(level − 1) cells along an edge of a subdomain.
+        subdomains_per_edge: Subdomains along an edge of the cube.
+        type: ``feti_type``.
+        pc: ``feti_pc_type``.
+        scaling: ``feti_scaling``.
+        coarse_q: ``feti_coarse_q``.
+        coarse_modes: ``feti_coarse_modes``.
+        reorthogonalize: Whether CG reorthogonalises all directions.
+        jump: Factor of Young's modulus in the stiff subcubes.
+        pattern: A key of :data:`PATTERNS`.
     """
 
     degree: int = 1
@@ -88,9 +99,11 @@ class Case:
 def create_problem(
     case: Case, comm: MPI.Comm
 ) -> tuple[Callable[[], LinearProblem], ufl.core.expr.Expr]:
-    """Mesh the cube of a case; return what tears it, and the fundamental solution. Collective.
+    """Mesh the cube of a case. Collective.
 
-    This is exact where the coefficient does not jump. PETSc options have the prefix ``cube_``.
+    Returns:
+        A function that creates the FETI problem, whose PETSc options have the prefix ``cube_``, and
+        the fundamental solution, which is exact if the coefficient does not jump.
     """
     subdomains = case.subdomains_per_edge
     mesh, part = create_cube(comm, subdomains, 2 ** (case.level - 1))
@@ -126,7 +139,7 @@ def create_problem(
 
 
 def solve(linear: LinearProblem) -> Record:
-    """Solve, and record what it took. Collective."""
+    """Solve; return sizes, iterations, spectrum and seconds. Collective."""
     comm = linear.u.function_space.mesh.comm
     coarse = event_clock(["FETICoarse"], comm)
     watch = Stopwatch(comm)
@@ -182,5 +195,5 @@ def _fundamental_solution(mesh: dolfinx.mesh.Mesh) -> ufl.core.expr.Expr:
 
 
 def _number(value: float) -> float | None:
-    """JSON has no nan."""
+    """Return a number, or None if it is not finite, as JSON has no NaN."""
     return float(value) if np.isfinite(value) else None

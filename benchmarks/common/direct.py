@@ -27,9 +27,10 @@ def create_newton(
     *,
     rtol: float = 1e-9,
 ) -> Callable[[], object]:
-    """Return a function that solves F(u) = 0, by the class of this version of dolfinx. Collective.
+    """Return a function that solves F(u) = 0 by dolfinx's Newton solver. Collective.
 
-    It raises a RuntimeError or a PETSc.Error if Newton's method does not converge.
+    The function raises a RuntimeError or a PETSc.Error, depending on the version of dolfinx, if
+    Newton's method does not converge.
 
     Args:
         F: Residual.

@@ -3,11 +3,13 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Pages of studies: templates in Markdown, filled with values from records.
 
-Fields are those of :meth:`str.format`, ``{kappa:g}`` or ``{times[local]:.2f}``; in addition
-to its formats there are those of :data:`FORMS`, and unknown values are shown as a dash. A line that
-ends in ``<!-- rows -->`` is written once for each entry of the field ``rows``, whose values take
-precedence over the page's. A heading that ends so marks its section, up to the next heading of its
-level::
+Fields are those of :meth:`str.format`, such as ``{kappa:g}`` or ``{times[local]:.2f}``. In addition
+to its formats there are those of :data:`FORMS`. A value that is unknown is shown as a dash, and so
+is a field whose name is misspelt.
+
+A line that ends in ``<!-- rows -->`` is written once for each entry of the field ``rows``. The
+values of an entry take precedence over those of the page. A heading that ends so repeats its whole
+section, up to the next heading of its level::
 
     ## Solvers on the {body} <!-- bodies -->
 
@@ -15,10 +17,11 @@ level::
     | --: | --: |
     | {solver} | {seconds:.2f} | <!-- rows -->
 
-Below each table is a line with days, commits and processors of its records. They are those of an
-entry's field ``sources``, or the entry itself if it has the machine or the date of a record, or
-else the page's field ``records``. A table of more than :data:`MAX_ROWS` rows, or :data:`MAX_CELLS`
-cells, is folded: the page shows a line that opens it. Each number on a page comes from a record.
+Below each table is a line with the days, commits and processors of its records. The records of an
+entry are its field ``sources``; without it, the entry itself if it has the machine or the date of a
+record; else the page's field ``records``. A table of more than :data:`MAX_ROWS` rows, or
+:data:`MAX_CELLS` cells, is folded: the page shows a line that opens it. Each number on a page comes
+from a record.
 """
 
 from __future__ import annotations
@@ -37,10 +40,10 @@ MARK = re.compile(r" *<!-- (\w+) -->$")
 #: A table, with the line of its records.
 TABLE = re.compile(r"((?:^\|.*\n)+)(\n\*Records? of .*\*\n)?", re.M)
 
-#: More commits than these are counted.
+#: Most commits that are named below a table; more are counted.
 MAX_COMMITS = 3
 
-#: Stands for the end of a text.
+#: Line that stands for the end of a section.
 END = "<!-- end -->"
 
 #: Largest numbers of rows and of cells of a table that is shown open: about half a screen.
@@ -61,7 +64,7 @@ FORMS: dict[str, Callable[[Any], str]] = {
 
 
 def fill(template: str, fields: Fields) -> str:
-    """Fill a template with values."""
+    """Return a template filled with the values of its fields."""
     return "".join(
         _lines(text, {**fields, **each})
         for text, several in _sections(template)
@@ -70,7 +73,14 @@ def fill(template: str, fields: Fields) -> str:
 
 
 def section(rows: Iterable[Fields], **fields: object) -> list[dict[str, object]]:
-    """Return the field of a section with a table, which is left out if there are no rows."""
+    """Return the entries of a section with a table: one, or none if the table has no rows.
+
+    Without an entry the page leaves the section out.
+
+    Args:
+        rows: Entries of the table.
+        fields: Further values of the section.
+    """
     found = list(rows)
     return [{"rows": found} | fields] if found else []
 
@@ -78,7 +88,10 @@ def section(rows: Iterable[Fields], **fields: object) -> list[dict[str, object]]
 def groups(
     records: Iterable[Record], *names: str
 ) -> Iterator[tuple[tuple[Any, ...], list[Record]]]:
-    """Yield the values of some parameters, in the order of the records, and who has them."""
+    """Yield each combination of values of some parameters, and the records that have it.
+
+    The combinations come in the order of the records.
+    """
     found: dict[tuple[Any, ...], list[Record]] = {}
     for record in records:
         found.setdefault(tuple(record[name] for name in names), []).append(record)
@@ -145,7 +158,7 @@ def _sources(entry: Fields, fields: Fields) -> Sequence[Record]:
 
 
 def provenance(records: Sequence[Record]) -> dict[str, object]:
-    """Return machines, number of cases and dates."""
+    """Return the fields of a page that all studies have: machines, number of cases, dates."""
     machines = dict.fromkeys(
         ", ".join(f"{key} {value}" for key, value in record["machine"].items())
         for record in records
@@ -162,7 +175,7 @@ def provenance(records: Sequence[Record]) -> dict[str, object]:
 
 
 def _sections(template: str) -> Iterator[tuple[str, str | None]]:
-    """Yield the sections, and the name of the field for whose entries one is written."""
+    """Yield each section, and the name of the field for whose entries it is repeated, or None."""
     for text in re.split(r"^(?=## )", template, flags=re.M):
         head, _, rest = text.partition("\n")
         mark = MARK.search(head) if head.startswith("## ") else None
@@ -170,7 +183,7 @@ def _sections(template: str) -> Iterator[tuple[str, str | None]]:
 
 
 def _lines(text: str, fields: Fields) -> str:
-    """Fill the lines of a section."""
+    """Return a section with its lines filled, and a line of origin below each table."""
     lines: list[str] = []
     of_table: dict[int, Record] = {}  # the records of the present table, by their identity
     for line in (*text.splitlines(), END):

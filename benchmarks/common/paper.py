@@ -3,10 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The paper's tables, as printed; ``paper.json`` beside this file holds the numbers.
 
-Of the linear study Augustin_tab:cube512_linear; of the nonlinear one aorta_linear and
+The linear study has the table Augustin_tab:cube512_linear. The nonlinear study has aorta_linear and
 aorta_quadratic (480 subdomains on as many cores), carotis_linear (512) and carotis_quadratic
-(1024), iterations and seconds per Newton step; of strong scaling aorta_scaling, carotis_scaling.
-Layers: 1 for the aorta, 2 for the carotid artery.
+(1024), with iterations and seconds per Newton step. Strong scaling has aorta_scaling and
+carotis_scaling. Keys have the number of layers: 1 for the aorta, 2 for the carotid artery.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LINEAR = {
     for level, values in enumerate(column, start=1)
 }
 
-#: L2 errors by type and level; the source point is not given.
+#: L2 errors by type and level. The paper does not give the source point.
 L2_ERRORS = {
     (kind, level): error
     for kind, column in _PRINTED["l2_errors"].items()

@@ -38,7 +38,7 @@ GRID_ON_DARK = "0.3"
 PANEL = (4.5, 3.3)
 DPI = 120
 
-#: Open circles: what the paper has.
+#: Open circles, for values of the paper.
 OPEN = {"marker": "o", "mfc": "none", "ls": "none", "ms": 7}
 
 
@@ -102,5 +102,5 @@ def lighten(figure: Figure) -> None:
 
 
 def curve(ax: Axes, points: Sequence[tuple[float, float]], **style: object) -> None:
-    """Draw points (x, y), of which there may be none."""
+    """Draw a curve through points (x, y); there may be none."""
     ax.plot([x for x, _ in points], [y for _, y in points], **style)

@@ -31,15 +31,21 @@ Known = Callable[[Record], bool]
 
 
 class Records:
-    """Records of a study, in a file if there is one; equal on all processes."""
+    """Records of a study, the same on all processes; they are kept in a file if a path is given."""
 
     def __init__(
         self, path: Path | None, comm: MPI.Comm, known: Known = lambda _: True, writer: str = ""
     ) -> None:
-        """Read the file, which the first process writes. Collective.
+        """Read the records of the file, or create it. Collective.
+
+        Args:
+            path: JSON file, which the first process reads and writes; None for none.
+            comm: Communicator.
+            known: Returns True for a record of the study.
+            writer: Name of the study, for messages.
 
         Raises:
-            ValueError: It cannot be written, or holds something else. On all processes.
+            ValueError: The file cannot be written, or holds something else. On all processes.
         """
 
         def read_or_create() -> list[Record]:
@@ -60,12 +66,21 @@ class Records:
         return iter(self._records)
 
     def all(self, key: Record) -> list[Record]:
-        """Return all records that have these values."""
+        """Return all records whose values are those of the key."""
         same = key.items()
         return [r for r in self._records if all(r.get(n, ...) == value for n, value in same)]
 
     def keep(self, key: Record, found: Record) -> Record:
-        """Write the first process's values, replacing a record with the same key. Collective.
+        """Add a record with the values of the first process, or replace the one with this key.
+
+        It also gets the machine, the version, the date, the commit and the command. Collective.
+
+        Args:
+            key: Entries that distinguish the record from others.
+            found: Measured values.
+
+        Returns:
+            The record, the same on all processes.
 
         Raises:
             OSError: The file cannot be written any more. On all processes; the file is as before.
@@ -86,7 +101,7 @@ class Records:
 
 
 def describe_machine() -> dict[str, str | int]:
-    """Name the processors, the memory and the versions."""
+    """Return the processors, the memory [GiB], and the versions of Python, dolfinx and PETSc."""
     names = list[str]()
     memory = 0
     with suppress(OSError, ValueError):  # this is Linux

@@ -31,8 +31,8 @@ from benchmarks.common.records import Known, Record, Records, read_records
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.meshes.arguments import RootParser, parse_all, split_petsc_options
 
-#: Writes and prints a record. Arguments: what the key of the record has beyond that of its case,
-#: such as the pressure, and the measured values.
+#: Writes and prints a record, and returns it. Arguments: entries that the key of the record has in
+#: addition to those of its case, such as the pressure; measured values.
 Keep = Callable[[Record, Record], Record]
 Arguments = argparse.Namespace
 
@@ -122,7 +122,13 @@ class Study:
     def _run_all(
         self, cases: Iterable[Record], args: Arguments, records: Records, comm: MPI.Comm
     ) -> list[Record]:
-        """Run the cases that have no record; return the records of all, or exit if one failed."""
+        """Run the cases without a record; return the records of all cases.
+
+        A case that does not converge does not keep the others from running.
+
+        Raises:
+            SystemExit: A case failed (status 1).
+        """
         records_of_cases: list[Record] = []
         has_failed = False
         for case in cases:
@@ -141,7 +147,12 @@ class Study:
         return records_of_cases
 
     def write_page(self, files: Sequence[Path], folder: Path) -> str:
-        """Write the page of some files and its pictures; return its text."""
+        """Write the page of the records in some files, and its pictures; return its text.
+
+        Raises:
+            OSError: A file cannot be read.
+            ValueError: A file has no records, or those of another study.
+        """
         records = [r for path in files for r in read_records(path, self.known, self.page)]
         folder.mkdir(parents=True, exist_ok=True)
         values = {**provenance(records), **self.fields(records)}
@@ -170,7 +181,7 @@ def keep_record(
 
 
 def read_values(text: str) -> dict[str, str]:
-    """Read the words of ``--only``: ``level=2,pc=lumped``."""
+    """Return the values that ``--only`` wants, such as ``level=2,pc=lumped``, by name."""
     words = [word.partition("=") for word in text.split(",")]
     if not all(name and equals for name, equals, _ in words):
         raise argparse.ArgumentTypeError(f"{text!r}: write NAME=VALUE,NAME=VALUE")
@@ -178,7 +189,11 @@ def read_values(text: str) -> dict[str, str]:
 
 
 def select(cases: Iterable[Record], wanted: Mapping[str, str]) -> Iterator[Record]:
-    """Yield the cases that have the wanted values, as text, or raise a ValueError if none has."""
+    """Yield the cases whose values, as text, are the wanted ones.
+
+    Raises:
+        ValueError: No case has them.
+    """
     has_any = False
     for case in cases:
         if all(name in case and str(case[name]) == value for name, value in wanted.items()):

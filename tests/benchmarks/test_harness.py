@@ -28,7 +28,7 @@ pytest.importorskip("matplotlib")
 
 
 def test_record_of_the_first_process_counts(tmp_path):
-    """Times differ from process to process; what is kept, in the place of the last, does not."""
+    """Times differ between processes; all keep that of the first, in place of the last one."""
     path = tmp_path / "new/records.json"
     records = Records(path, COMM)
     key = {"case": 1}
@@ -59,7 +59,7 @@ def test_full_disk_leaves_the_file_as_it_was(tmp_path, monkeypatch):
 
 
 class Broken(io.StringIO):
-    """A stream that takes nothing: a full disk behind it, or a terminal that is gone."""
+    """A stream whose writes fail, as on a full disk or a closed terminal."""
 
     def write(self, _text: str) -> int:
         raise BrokenPipeError("the reader has gone")
@@ -168,7 +168,7 @@ def test_no_case_is_chosen(words, said, capsys):
 
 
 def test_study_runs_what_its_file_lacks(tmp_path, capsys):
-    """And shows all; the records say what it takes to run them again."""
+    """It prints all records; they have the command and the version that made them."""
     file = str(COMM.bcast(str(tmp_path / "new/squares.json")))
     first = squares().main(["--x", "2", "--json", file], COMM)
     agree([r["square"] for r in first] == [4] and first[0]["command"] and first[0]["version"])
@@ -217,7 +217,7 @@ def test_file_that_cannot_be_written_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize("text", ["mine", '{"x": 1}', "[1, 2]", '[{"y": 1}]', "", "[]"])
 @pytest.mark.parametrize("page", [False, True])
 def test_file_of_something_else_is_refused(tmp_path, capsys, text, page):
-    """It stays as it is; one that is empty takes records, but makes no page."""
+    """The file is not changed. An empty one takes records, but makes no page."""
     file, folder = (Path(COMM.bcast(str(tmp_path / name))) for name in ("other.json", "page"))
     on_first(lambda: file.write_text(text))
     words = ["--x", "1", "--json", str(file), *(["--page", str(folder)] if page else [])]

@@ -91,7 +91,7 @@ def test_rounds():
 
 
 def test_loaded_body(tmp_path):
-    """All solve the step in its equilibrium; the second run finds that in the folder."""
+    """All solve a step in the loaded equilibrium, which the second run reads from the folder."""
     folder = COMM.bcast(str(tmp_path))
     words = [*SMALL, "--kappa", "10", "--loaded", "2", "--solvers", "feti,mumps"]
     first, again = (main([*words, "--folder", folder]) for _ in range(2))
@@ -103,7 +103,7 @@ def test_loaded_body(tmp_path):
 
 @pytest.mark.serial
 def test_vessel(tmp_path):
-    """The coarsest that can be meshed."""
+    """It has the coarsest mesh that can be generated."""
     pytest.importorskip("gmsh")
     words = ["--geometry", "vessel", "--dofs", "50000", "--folder", str(tmp_path)]
     (record,) = main([*words, "--solvers", "mumps"])
@@ -131,7 +131,7 @@ def test_path():
 
 
 def test_path_that_fails_is_recorded(monkeypatch):
-    """With the reason, and with what was solved before."""
+    """The record has the reason, and the solves before the failure."""
 
     def fold(problem, set_load, targets, *_args, **_options):
         set_load(targets[0])
@@ -148,7 +148,7 @@ def test_path_that_fails_is_recorded(monkeypatch):
 
 @pytest.mark.parametrize("geometry", ["pillar", "cube", "square", "heat"])
 def test_sweep_over_subdomains(geometry, tmp_path):
-    """As many as were asked for; the page has the time over the least."""
+    """There are as many as asked for; the page has each time over the least one."""
     path = tmp_path / "compare.json"
     words = ["--geometry", geometry, "--dofs", "300", "--per", "100,2000", "--json", str(path)]
     few, one = main([*words, "--degree", "1" if geometry == "heat" else "2"])
@@ -166,7 +166,7 @@ ELASTIC = ["cube", "plate-20", "plate-100", "plate-1000", "inclusions-1e4", "inc
 
 @pytest.mark.parametrize("geometry", ELASTIC)
 def test_formulations_on_compressible_bodies(geometry, tmp_path):
-    """Both come to MUMPS's solution; the page has a row of both, and a figure."""
+    """Both agree with MUMPS; the page has a row with both, and a figure."""
     path = tmp_path / "compare.json"
     names = ["feti", "feti-dual", "mumps"]
     words = ["--geometry", geometry, "--degree", "1", "--dofs", "600", "--json", str(path)]
@@ -214,13 +214,13 @@ def test_records_of_other_threads_and_solvers_are_run(tmp_path, monkeypatch):
 
 RTOL = 1e-9
 
-#: Solvers of one process, and of modules that may not be there.
+#: Solvers that take one process only, or whose packages may be missing.
 ALONE = ("cholmod", "pardiso")
 
 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_everybody_solves_the_next_newton_step(degree):
-    """At a loaded state, which stays as it is, of a body whose pressure is condensed."""
+    """The body is loaded and has a condensed pressure; the comparison does not change its state."""
     body = wall(tube(around=8, along=2), degree=degree)
     problem = body.problem(4, {"ksp_rtol": RTOL, "snes_rtol": 1e-10})
     body.inflate(problem, [1.0])
@@ -245,7 +245,7 @@ def test_everybody_solves_the_next_newton_step(degree):
 
 @pytest.mark.serial
 def test_pardiso(monkeypatch):
-    """With a module of its name; without MKL the note has its error."""
+    """By a fake module; if PARDISO is missing from it, the note has the error."""
     module = types.ModuleType("pypardiso")
     module.__spec__ = importlib.machinery.ModuleSpec("pypardiso", None)
     monkeypatch.setitem(sys.modules, "pypardiso", module)

@@ -52,7 +52,7 @@ def test_records_and_their_page(tmp_path):
 
 
 def test_records_of_another_study_are_not_its_own():
-    """Their fields may have the same names; it knows its values."""
+    """Their fields may have the same names; only values of this study are accepted."""
     for field, own in (("case", "land-1"), ("element", "p2-p0"), ("pair", "q1-p0")):
         agree(STUDY.known({field: own}))
         agree(not any(STUDY.known({field: other}) for other in ("cube", 1, None, ["p2-p0"])))
@@ -60,7 +60,7 @@ def test_records_of_another_study_are_not_its_own():
 
 @pytest.mark.serial
 def test_one_displacement():
-    """2³ cubes, Q1–P0: a node moves; a pressure ±1 is felt by one component. ∫|∇φ|² = h/3 · 8/3."""
+    """2³ cubes, Q1–P0: one node is free, and each component has one pattern of pressures ±1."""
     found = inf_sup.constant("q1-p0", 2)
     h = 0.5
     energy = 3 * (2 / h) * (2 * h / 3) ** 2  # ∫|∇φ|² of the node's hat function
@@ -81,7 +81,7 @@ def integral(form: ufl.Form) -> float:
 
 
 def test_ellipsoid():
-    """π r_s² (z − z³/(3 r_l²)) between apex and base, outer less inner; curved cells of order 2."""
+    """The volume is π r_s² (z − z³/(3 r_l²)) between apex and base, outer minus inner."""
     mesh = create_ellipsoid(COMM, 2).mesh
     inner, outer = (
         np.pi * a**2 * (5 + b - (5**3 + b**3) / (3 * b**2)) for a, b in ((7, 17), (10, 20))
@@ -98,7 +98,7 @@ def test_ellipsoid():
 
 @pytest.mark.serial
 def test_tube_with_opening_angles():
-    """Coarser than the coarsest of the study, it is within 0.2 % of the oracle, and 3 %."""
+    """On a mesh coarser than the study's, u_r is within 0.2 % of theory, stresses within 3 %."""
     tube = create_stressed_tube(COMM, size=0.13)
     follow_load(tube.problem, tube.set_load, [1.0], Steps(0.02, least=1e-3), state=[tube.u, tube.p])
     found = tube.measure()
@@ -109,7 +109,7 @@ def test_tube_with_opening_angles():
 @pytest.mark.serial
 @pytest.mark.parametrize("mmhg", [0.0, 10.0])
 def test_tube_that_is_pulled_and_inflated(mmhg):
-    """By prescribed ends: mean radii of both surfaces, as chords allow; far from those unpulled."""
+    """Its ends are moved. Radii are within 1 % of theory, and far from those without a stretch."""
     wall = create_slice(COMM, size=0.26)
     tissue = materials.ArteryParameters()
     stretch = 1.15
@@ -152,7 +152,7 @@ def test_tube_that_is_pulled_and_inflated(mmhg):
 
 
 def test_tube(tmp_path, capfd):
-    """One for each pressure, in the file too, with costs from rest and the truth at its κ."""
+    """There is a record for each pressure, with costs from rest and the exact solution at its κ."""
     path = tmp_path / "new/tube.json"
     records = inflated("--pressures", "2,10", "--c", 4, "--kappa", 500, "--json", path)
     agree(on_first(lambda: json.loads(path.read_text())) == records and len(records) == 2)
@@ -191,7 +191,7 @@ def test_second_order_elements():
 
 @pytest.mark.serial
 def test_multipliers_keep_the_volume():
-    """Of each cell, in the mean."""
+    """The mean of J in each cell stays at one."""
     (record,) = inflated("--pressures", 4, "--augmented")
     agree(record["volume_change"] <= 1e-6 and record["updates"] > 1, record)
     small(record["mean_J"] - 1.0, 1e-6)

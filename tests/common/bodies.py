@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Blocks of materials that a user writes in UFL: an energy, and nothing else."""
+"""Blocks of materials that a user writes in UFL, as an energy alone."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Body:
     bcs: list[dolfinx.fem.DirichletBC]
 
     def problem(self, options: dict[str, object] | None = None, **arguments: object):
-        """Tear the block into four."""
+        """Create the FETI problem with four subdomains; ``options`` are without prefix."""
         return NonlinearProblem(
             self.energy,
             self.u,
@@ -86,7 +86,7 @@ def block(
 
 
 def least_ratio(u: dolfinx.fem.Function) -> float:
-    """Return the least det F over the cells' midpoints."""
+    """Return the least mean of det F over a cell, on all processes."""
     mesh = u.function_space.mesh
     Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
     J = ufl.det(ufl.Identity(mesh.geometry.dim) + ufl.grad(u)) * ufl.TestFunction(Q) * ufl.dx
@@ -97,7 +97,10 @@ def least_ratio(u: dolfinx.fem.Function) -> float:
 
 
 def two_wells() -> tuple[dolfinx.fem.Function, ufl.Form, list[dolfinx.fem.DirichletBC]]:
-    """Π = ∫ ε/2 |∇u|² + (u² − 1)²/4: u = 0 obeys Π' = 0 on the ridge between two valleys."""
+    """Return u, Π = ∫ ε/2 |∇u|² + (u² − 1)²/4 and conditions.
+
+    u = 0 solves Π' = 0, but is a ridge between the two valleys u = ±1.
+    """
     mesh = cube(2, 8)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = dolfinx.fem.Function(V)

@@ -23,12 +23,13 @@ from dolfinx_feti.wall.wallfile import read_wall_arrays
 
 CASE = (ROOT / "demos/wall.toml").read_text(encoding="utf-8")
 
-#: A file writer under the name of the file, and what the error has to say.
+#: By the name of a file: a function that writes it into a folder and returns its path, and a
+#: pattern of the error.
 BROKEN: dict[str, tuple[Callable[[Path], Path], str]] = {}
 
 
 def broken(name: str, match: str, write: Callable[[Path], object]) -> None:
-    """Enter a file, and who writes it."""
+    """Add a file: its name, a pattern of its error, and a function that writes it to a path."""
 
     def written(folder: Path) -> Path:
         write(folder / name)
@@ -38,13 +39,13 @@ def broken(name: str, match: str, write: Callable[[Path], object]) -> None:
 
 
 def text(name: str, content: bytes | str, match: str) -> None:
-    """Enter a file of this content."""
+    """Add a file with the given content."""
     data = content if isinstance(content, bytes) else content.encode()
     broken(name, match, lambda path: path.write_bytes(data))
 
 
 def changed(name: str, match: str, **arrays: Callable[[WallArrays], np.ndarray]) -> None:
-    """Enter the example with other arrays."""
+    """Add the example with changed arrays: each is computed from the example's arrays."""
 
     def write(path: Path) -> None:
         mesh = read_wall_arrays(EXAMPLE)
@@ -54,7 +55,7 @@ def changed(name: str, match: str, **arrays: Callable[[WallArrays], np.ndarray])
 
 
 def with_rows(rows: np.ndarray, at: object, values: object) -> np.ndarray:
-    """Return an array with other rows."""
+    """Return an array with the rows ``at`` replaced by values."""
     other = np.array(rows)
     other[at] = values
     return other
@@ -167,7 +168,15 @@ changed(
 
 
 def box(name: str, match: str, *groups: tuple[int, str], dim: int = 3, **options: float) -> None:
-    """Enter a box, or its square, with groups of dimension and name, and options of Mesh."""
+    """Add a box, or a square, meshed by Gmsh.
+
+    Args:
+        name: Name of the file; if it begins with ``cut``, half of the file is cut off.
+        match: Pattern of the error.
+        groups: Dimension and name of each physical group.
+        dim: 3 for a box, 2 for a square.
+        options: Gmsh's options ``Mesh.…``.
+    """
 
     def write(path: Path) -> None:
         import gmsh
@@ -217,7 +226,7 @@ broken("nowhere.toml", "no file .*: name a TOML file", lambda path: None)
 
 
 def damaged(name: str, change: Callable[[Path], object], match: str = "cannot be read") -> None:
-    """Enter a file of write_wall that is changed."""
+    """Add a file of ``write_wall`` that ``change`` damages."""
 
     def write(path: Path) -> None:
         write_wall(path, read_wall(EXAMPLE, MPI.COMM_SELF))
@@ -227,7 +236,7 @@ def damaged(name: str, change: Callable[[Path], object], match: str = "cannot be
 
 
 def table(key: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
-    """Change a table of the HDF5 file."""
+    """Return a function that changes a table of the HDF5 file that belongs to a path."""
 
     def work(path: Path) -> None:
         import h5py
@@ -268,7 +277,7 @@ damaged(
 
 
 def with_tags(name: str, tag: float) -> None:
-    """Enter the example in a format of meshio, its first cell with another tag."""
+    """Add the example in a format of meshio, with this tag of its first cell."""
 
     def write(path: Path) -> None:
         import meshio
@@ -288,7 +297,15 @@ with_tags("nan_tag.vtu", np.nan)
 
 
 def alone(name: str, kind: str, nodes: int, match: str, *data: str) -> None:
-    """Enter one cell of a kind with the data 1, in a format of meshio or in Gmsh's."""
+    """Add a file of one cell, in a format of meshio or in Gmsh's.
+
+    Args:
+        name: Name of the file.
+        kind: meshio's name of the cell.
+        nodes: Its number of nodes.
+        match: Pattern of the error.
+        data: Names of cell data, which have the value 1.
+    """
 
     def write(path: Path) -> None:
         import meshio

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Choices of the solver that many tests try, and tables of problems torn by hand."""
+"""Parameters that many tests have: choices of the solver, and tables of cases with names."""
 
 from __future__ import annotations
 
@@ -26,7 +26,13 @@ def each(names: str | tuple[str, ...], table: Mapping[str, object]) -> pytest.Ma
 
 
 def wrong_values(table: Iterable[tuple]) -> pytest.MarkDecorator:
-    """Parametrise a test over calls, right arguments, and the wrong values of some, one by one."""
+    """Parametrise a test over wrong values of arguments, one wrong argument at a time.
+
+    The test's arguments are ``call``, ``right``, ``name`` and ``wrong``.
+
+    Args:
+        table: Rows of a function, its right arguments, and the wrong values of an argument by name.
+    """
     rows = [
         pytest.param(call, right, name, value, id=f"{call.__name__}-{typable(f'{name}={value}')}")
         for call, right, columns in table

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""For tests on several processes: assertions that fail on all, global matrices, PETSc's garbage."""
+"""Tests on several processes: assertions that fail on all, global arrays, PETSc's garbage."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def _fail_together(fails: list[bool], message: str) -> NoReturn:
 
 @contextmanager
 def raises(kind: type[Exception], match: str) -> Iterator[None]:
-    """Assert that every process raises this error with a message that fits."""
+    """Assert that every process raises this error, with a message that matches the pattern."""
     caught: Exception | None = None
     try:
         yield
@@ -134,14 +134,17 @@ def logged_messages(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 
 def random_part(n: int, columns: int | None = None, *, seed: int = 1993) -> Array:
-    """Return own rows, (n,) or (n, columns), of what is the same on any number of processes."""
+    """Return this process's rows, (n,) or (n, columns), of a random array.
+
+    The whole array is the same on any number of processes.
+    """
     shape = (COMM.allreduce(n),) if columns is None else (COMM.allreduce(n), columns)
     last = COMM.scan(n)
     return np.random.default_rng(seed).standard_normal(shape)[last - n : last]
 
 
 def norm(local: Array) -> float:
-    """Norm of a vector of which each process has a part."""
+    """Return the Euclidean norm of a vector of which each process has a part."""
     return float(np.sqrt(COMM.allreduce(float(local.ravel() @ local.ravel()))))
 
 
@@ -193,7 +196,7 @@ def matrix_of_map(apply: Callable[[Array], Array], n: int) -> Array:
 
 
 def garbage(comm: MPI.Comm) -> str:
-    """Return PETSc's own list of objects that processes have to end together; empty without any."""
+    """Return PETSc's list of objects that wait for a collective ``destroy``; empty if none do."""
     sys.stdout.flush()
     with tempfile.TemporaryFile() as file:
         screen = os.dup(1)

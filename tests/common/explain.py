@@ -72,7 +72,7 @@ def describe(node: ast.expr, scope: dict[str, Any]) -> Iterator[str]:
     """Yield a line for each operand of a condition that failed.
 
     Args:
-        node: The condition; of a conjunction, the conditions that hold are left out.
+        node: The condition. Operands of ``and`` that hold are left out.
         scope: Values of the names in it.
     """
     if isinstance(node, ast.BoolOp):
@@ -123,9 +123,10 @@ def is_of_numpy(node: ast.Call) -> bool:
 
 
 def describe_entries(node: ast.expr, scope: dict[str, Any]) -> Iterator[str]:
-    """Yield the array that is looked through, or both sides of a comparison and where it is false.
+    """Yield the array, or both sides of a comparison and the first entry that decides it.
 
-    With any, it is where it is true: the condition has a ``not`` in front then.
+    For ``all`` that is the first entry where the comparison is false. For ``any`` it is the first
+    one where it is true, because the condition is then ``not any(…)``.
 
     Args:
         node: A call of :func:`is_over_entries`.
@@ -181,7 +182,7 @@ def describe_counterexample(node: ast.expr, scope: dict[str, Any]) -> Iterator[s
 
 
 def value_of(node: ast.expr, scope: dict[str, Any]) -> Iterator[str]:
-    """Yield a line with an expression and its value; none for a module or what is a constant."""
+    """Yield a line with an expression and its value, unless it is a constant or a module."""
     is_constant = all(not isinstance(part, ast.Name) for part in ast.walk(node))
     if is_constant:
         return

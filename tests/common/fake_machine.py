@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A machine for tests of the scripts, which run from a copied checkout.
 
-What they would do to the system is done by stubs, small shell scripts.
+Programs that would change the system are replaced by stubs, which are small shell scripts.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from time import monotonic, sleep
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
-# What the scripts may use as it is; everything else that they find is a stub, or does not exist.
+# Programs that the scripts may use; all others are stubs or do not exist.
 REAL_TOOLS = (
     "awk basename bash cat chmod cp cut dirname echo env find flock grep head mkdir mktemp mv "
     "printf realpath rm sed sh sha256sum sleep sync tail tee timeout touch tr true"
@@ -83,7 +83,7 @@ class Machine:
             self.stub(tool, body)
 
     def stub(self, tool: str, body: str | None) -> None:
-        """Replace a program by the lines of a shell script, or take it away."""
+        """Replace a program by the lines of a shell script, or remove it if there are none."""
         path = self.bin / tool
         path.unlink(missing_ok=True)
         if body is not None:
@@ -91,7 +91,7 @@ class Machine:
             path.chmod(0o755)
 
     def calls(self, tool: str) -> list[str]:
-        """Return the calls of a stub so far."""
+        """Return the command lines with which a stub has been called."""
         log = self.folder / "calls"
         lines = log.read_text().splitlines() if log.exists() else []
         return [line for line in lines if line.split()[0] == tool]
@@ -128,7 +128,7 @@ class Machine:
         return subprocess.CompletedProcess(command, process.returncode, out, err)
 
     def left(self) -> set[str]:
-        """What lies in the folder of the trees, beside locks and logs."""
+        """Return the names in the folder of trees, without locks and logs."""
         names = os.listdir(self.trees) if self.trees.is_dir() else []
         return {name for name in names if not name.endswith((".lock", ".log"))}
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A fake problem for load steps, with known equilibria, that fails on demand."""
+"""A fake problem for load steps, whose equilibria are known and whose solves fail on demand."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ State = tuple[float, float, float]  # load, u, p
 
 
 class Attempt(NamedTuple):
-    """What a problem saw when it was solved."""
+    """Load, tolerances and state with which a fake problem was solved."""
 
     load: float
     before: float  # the load of the last equilibrium
@@ -51,9 +51,15 @@ def truth(t: float) -> tuple[float, float]:
 
 
 class FakeProblem:
-    """A problem with known equilibria, u and p of :func:`truth`.
+    """A problem whose equilibrium at a load is u, p = truth(load).
 
-    A solve takes as many Newton steps as ``cost`` returns, or fails and leaves nonsense behind.
+    A solve that fails leaves NaN and infinity in u and p.
+
+    Args:
+        start: Load of the first equilibrium.
+        cost: Newton steps of a solve, by the increment of the load.
+        fails: Whether a solve fails, by the load of the last equilibrium and the new one.
+        inside_out: Whether a prediction at a load is inadmissible.
     """
 
     def __init__(
@@ -92,7 +98,7 @@ class FakeProblem:
         self.p.x.array[:] = p
 
     def state(self) -> tuple[float, float]:
-        """Return u and p; each must have one value all over."""
+        """Return u and p; assert that each has the same value at all dofs."""
         values = [f.x.array for f in (self.u, self.p)]
         agree(all(np.ptp(v) <= ROUNDING * (1 + abs(v[0])) for v in values if len(v)))
         return tuple(float(COMM.bcast(v[0] if len(v) else None)) for v in values)
@@ -115,7 +121,7 @@ class FakeProblem:
         self._renewed = True
 
     def warn_of_cells(self) -> None:
-        """Find nothing wrong with the cells."""
+        """Log no warning."""
 
     def solve(
         self,

@@ -1,10 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Problems torn by hand: bricks of bilinear elements, known in full on every process.
+"""Problems torn by hand: bricks of multilinear elements, known in full on every process.
 
-They come without dolfinx and have the same subdomains on any number of processes; a process may
-have none.
+They are assembled without dolfinx. Their subdomains are the same on any number of processes. A
+process may have no subdomain.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ class HandTorn:
     Attributes:
         A: The torn matrix; each process has its share of the subdomains, in order.
         K: Local matrices of all subdomains, dense, (n_i, n_i) each.
-        dofs: Global dof of each of their rows.
+        dofs: Global dof of each row of each local matrix, (n_i,) each.
         x: Coordinates of the nodes, (nodes, dim).
         modes: Kernel of the problem without Dirichlet conditions, (dofs, n_modes).
         dirichlet: Mask of the dofs with a prescribed value, (dofs,).
-        local: Matrix of this process, in ``A``.
+        local: The sequential matrix of this process, from which ``A`` is created.
     """
 
     A: PETSc.Mat
@@ -60,17 +60,17 @@ class HandTorn:
 
     @property
     def to_global(self) -> Indices:
-        """Dof of each torn one, (n,)."""
+        """Global dof of each torn dof, (n,)."""
         return np.concatenate(self.dofs)
 
     @property
     def T(self) -> Array:
-        """Copies of each dof, (n, dofs)."""
+        """T, which copies each dof to its subdomains, (n, dofs)."""
         return np.eye(len(self.dirichlet))[self.to_global]
 
     @property
     def matrix(self) -> Array:
-        """The assembled matrix."""
+        """The assembled matrix Tᵀ K T, (dofs, dofs)."""
         return self.T.T @ self.K_torn @ self.T
 
     @property
@@ -80,11 +80,11 @@ class HandTorn:
 
     @property
     def negative(self) -> int:
-        """How many of its eigenvalues are negative."""
+        """Number of negative eigenvalues of :attr:`free_matrix`."""
         return np.count_nonzero(np.linalg.eigvalsh(self.free_matrix) < 0.0)
 
     def solve(self, b: Array) -> Array:
-        """Solve the assembled problem, the values of Dirichlet dofs being in ``b``."""
+        """Solve the assembled problem; on Dirichlet dofs ``b`` has the prescribed values."""
         K = self.matrix
         x = np.where(self.dirichlet, b, 0.0)
         free = ~self.dirichlet
@@ -92,7 +92,7 @@ class HandTorn:
         return x
 
     def vector(self, values: Array) -> PETSc.Vec:
-        """Distribute a vector of all dofs."""
+        """Create a vector of PETSc from the values of all dofs, (dofs,); the caller destroys it."""
         b = self.A.createVecLeft()
         b.array[:] = values[slice(*b.getOwnershipRange())]
         return b
@@ -103,12 +103,12 @@ class HandTorn:
         self.local.destroy()
 
 
-#: Alters local matrices, of the dofs that are given, in place.
+#: Changes the local matrices K in place. Arguments: K and the dofs of their rows.
 Change = Callable[[list[Array], list[Indices]], None]
 
 
 def each_matrix(alter: Callable[[Array, np.random.Generator], None]) -> Change:
-    """Alter each local matrix in place, perhaps at random."""
+    """Return a change that applies ``alter(K_i, rng)`` to each local matrix in place."""
 
     def change(K: list[Array], _dofs: object) -> None:
         rng = np.random.default_rng(1986)
@@ -119,7 +119,7 @@ def each_matrix(alter: Callable[[Array, np.random.Generator], None]) -> Change:
 
 
 def softened(share: float) -> Change:
-    """Reduce the stiffness of each subdomain by a share, so that it, or the whole, buckles."""
+    """Subtract a share of the largest entry from the diagonal: subdomains, or the body, buckle."""
 
     def alter(K_i: Array, _rng: object) -> None:
         K_i -= share * np.abs(K_i).max() * np.eye(len(K_i))
@@ -128,7 +128,7 @@ def softened(share: float) -> Change:
 
 
 def scaled_diagonal(factor: float) -> Change:
-    """Multiply the diagonal of each subdomain: tension or, below one, compression."""
+    """Multiply the diagonal of each local matrix: tension above one, compression below."""
 
     def alter(K_i: Array, _rng: object) -> None:
         np.fill_diagonal(K_i, factor * K_i.diagonal())
@@ -137,7 +137,7 @@ def scaled_diagonal(factor: float) -> Change:
 
 
 def unsymmetric(share: float, *, skew: bool = False) -> Change:
-    """Add a share of random entries to the local matrices, which leave K + Kᵀ or not."""
+    """Add random entries in the pattern, a share of the largest one; skew ones leave K + Kᵀ."""
 
     def alter(K_i: Array, rng: np.random.Generator) -> None:
         X = np.where(K_i != 0.0, rng.standard_normal(K_i.shape), 0.0)
@@ -147,7 +147,7 @@ def unsymmetric(share: float, *, skew: bool = False) -> Change:
 
 
 def one_sided(share: float) -> Change:
-    """Add a share of random entries, a_ij where neither a_ij nor a_ji was in the pattern."""
+    """Add random entries below the diagonal where the matrix has none: the pattern is one-sided."""
 
     def alter(K_i: Array, rng: np.random.Generator) -> None:
         X = rng.standard_normal(K_i.shape)
@@ -167,12 +167,17 @@ def grid(
     stiffness: Callable[[int], float] = lambda i: 1.0,
     modes: int | None = None,
 ) -> HandTorn:
-    """Tear a brick of subdomains, each of some cells, in one to three dimensions.
+    """Tear a brick into subdomains, in one to three dimensions.
 
-    Nodes with x₀ = 0 have Dirichlet conditions, or those that ``fixed`` marks, (nodes, dim) →
-    (nodes,) or (nodes, components); ``change`` alters the local matrices in place, ``stiffness`` is
-    the factor of each. Components are one for the Laplace equation, the dimension for elasticity.
-    Only so many ``modes`` of the kernel are attached.
+    Args:
+        subdomains: Number of subdomains along each axis.
+        cells: Number of cells of a subdomain along each axis; the edges of a cell are one.
+        components: One for the Laplace equation, the dimension for elasticity.
+        fixed: Marks the Dirichlet nodes, (nodes, dim) → (nodes,), or their components, (nodes,
+            components); those with x₀ = 0 if not given.
+        change: Changes the local matrices in place.
+        stiffness: Factor of the matrix of subdomain i.
+        modes: Number of modes of the kernel that are attached; all if not given.
     """
     shape = [s * n + 1 for s, n in zip(subdomains, cells, strict=True)]
     x = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
@@ -213,12 +218,12 @@ def face(x: Array) -> Mask:
 
 
 def components(where: Callable[[Array], Mask], *which: int) -> Callable[[Array], Mask]:
-    """Mark some components of the nodes that are marked."""
+    """Return a marker of some components of the nodes that ``where`` marks."""
     return lambda x: where(x)[:, None] & np.isin(np.arange(x.shape[1]), which)
 
 
 def dofs_of(nodes: Indices, components: int) -> Indices:
-    """Return the dofs of nodes, node by node."""
+    """Return all dofs of some nodes, node by node, (nodes · components,)."""
     return (nodes[:, None] * components + np.arange(components)).ravel()
 
 
@@ -237,13 +242,13 @@ def tear(
 
     Args:
         K: Matrix of each subdomain, (n_i, n_i).
-        dofs: Their dofs, (n_i,).
+        dofs: Global dofs of its rows, (n_i,).
         x: Coordinates of the nodes, (nodes, dim).
         modes: Kernel without Dirichlet conditions, (dofs, n_modes).
         dirichlet: Mask of the prescribed dofs, (dofs,).
-        pattern: That of all matrices; full if not given.
-        n_modes: How many modes are attached; all if not given.
-        entries: Whether a matrix has the pattern of its entries that are not zero.
+        pattern: Non-zero where each matrix stores an entry; full if not given.
+        n_modes: Number of modes that are attached; all if not given.
+        entries: Whether a matrix stores only its entries that are not zero.
     """
     bs = len(dirichlet) // len(x)
     n = len(dirichlet)
@@ -268,7 +273,7 @@ def tear(
 
 
 def own_subdomains(count: int) -> list[int]:
-    """Return the numbers of the subdomains that this process has."""
+    """Return the numbers of the subdomains of this process, out of ``count``."""
     return [i for i in range(count) if i * COMM.size // count == COMM.rank]
 
 
@@ -277,7 +282,7 @@ def brick(
     components: int,
     stiffness: Callable[[tuple[int, ...]], float] = lambda cell: 1.0,
 ) -> tuple[Array, Array]:
-    """Assemble a brick of unit cells: the pattern of its matrix and the matrix."""
+    """Assemble a brick of unit cells; return the pattern of its matrix and the matrix, (n, n)."""
     number = np.arange(np.prod(np.add(cells, 1))).reshape(np.add(cells, 1))
     every = list(itertools.product(*map(range, cells)))
     nodes = [number[tuple(slice(c, c + 2) for c in cell)].ravel() for cell in every]
@@ -288,7 +293,7 @@ def brick(
 def assembled(
     cells: Sequence[Indices], matrices: Sequence[Array], components: int
 ) -> tuple[Array, Array]:
-    """Assemble the matrices of cells, of which the nodes are given: the pattern and the matrix."""
+    """Assemble the matrices of cells with the given nodes; return the pattern and the matrix."""
     size = (1 + max(nodes.max() for nodes in cells)) * components
     K = np.zeros((size, size))
     pattern = np.zeros((size, size))
@@ -300,7 +305,10 @@ def assembled(
 
 
 def element(dim: int, components: int) -> Array:
-    """Stiffness of a unit cell, whose multilinear shape functions are products over the axes."""
+    """Return the stiffness of a unit cell with multilinear shape functions.
+
+    These are products over the axes, and so are their integrals.
+    """
     M = np.array([[2, 1], [1, 2]]) / 6
     K = np.array([[1, -1], [-1, 1]])  # ∫ φ_a φ_b, ∫ φ_a' φ_b'
     D = np.array([[-1, -1], [1, 1]]) / 2  # ∫ φ_a' φ_b
@@ -315,9 +323,9 @@ def element(dim: int, components: int) -> Array:
 
 
 def stiffness_of(G: Array, components: int, nu: float = POISSON) -> Array:
-    """Stiffness from G = ∫ ∂_i φ_a ∂_j φ_b, (dim, dim, nodes, nodes).
+    """Return the stiffness from G = ∫ ∂_i φ_a ∂_j φ_b, (dim, dim, nodes, nodes).
 
-    That of ∇φ·∇φ, or of 2μ ε:ε + λ div div for as many components as axes.
+    It is that of ∇φ·∇φ for one component, and that of 2μ ε:ε + λ (div u)² for elasticity.
     """
     laplace = np.einsum("iiab->ab", G)
     if components == 1:
@@ -330,7 +338,7 @@ def stiffness_of(G: Array, components: int, nu: float = POISSON) -> Array:
 
 
 def kernel(x: Array, components: int) -> Array:
-    """Constants and, for elasticity, rotations at the nodes, (dofs, modes)."""
+    """Return the constants and, for elasticity, the rotations at the nodes, (dofs, modes)."""
     modes = [np.tile(unit, len(x)) for unit in np.eye(components)]
     if components > 1:
         for i, j in itertools.combinations(range(components), 2):
@@ -342,7 +350,7 @@ def kernel(x: Array, components: int) -> Array:
 
 
 def block_matrix(blocks: list[tuple[Array, Array]], bs: int) -> PETSc.Mat:
-    """Make a sequential matrix of diagonal blocks (values, pattern)."""
+    """Create a sequential matrix from diagonal blocks (values, pattern), (n_i, n_i) each."""
     parts = [scipy.sparse.coo_array((0, 0))]
     for values, pattern in blocks:
         rows, columns = np.nonzero((pattern != 0.0) | (values != 0.0))
@@ -351,18 +359,18 @@ def block_matrix(blocks: list[tuple[Array, Array]], bs: int) -> PETSc.Mat:
 
 
 def aij(K: scipy.sparse.csr_array, bs: int = 1) -> PETSc.Mat:
-    """Make a sequential matrix."""
+    """Create a sequential matrix of PETSc; the caller destroys it."""
     csr = K.indptr.astype(PETSc.IntType), K.indices.astype(PETSc.IntType), K.data
     return PETSc.Mat().createAIJ(K.shape, bsize=bs, csr=csr, comm=PETSc.COMM_SELF)
 
 
 def random_values(problem: HandTorn, seed: int = 101013) -> Array:
-    """Loads and prescribed values."""
+    """Return random loads and, on Dirichlet dofs, prescribed values, (dofs,)."""
     return np.random.default_rng(seed).standard_normal(len(problem.dirichlet))
 
 
 def solve(ksp: PETSc.KSP, problem: HandTorn, values: Array) -> tuple[int, Array]:
-    """Solve; return the reason and all of x."""
+    """Solve; return the converged reason and x of all processes, (dofs,)."""
     x = problem.A.createVecRight()
     ksp.solve(problem.vector(values), x)
     return ksp.getConvergedReason(), whole(x.array_r)
@@ -371,7 +379,7 @@ def solve(ksp: PETSc.KSP, problem: HandTorn, values: Array) -> tuple[int, Array]
 def solved(
     ksp: PETSc.KSP, problem: HandTorn, tolerance: float = 1e-8, values: Array | None = None
 ) -> dolfinx_feti.FETI:
-    """Assert that a solve converges to the assembled solution; return the context."""
+    """Assert that a solve converges to the dense solution; return the FETI context."""
     values = random_values(problem) if values is None else values
     reason, x = solve(ksp, problem, values)
     agree(reason > 0, ksp.getPythonContext().message)

@@ -20,7 +20,7 @@ def id_of(value: object, name: str) -> str | None:
 
     Args:
         value: Value of the parameter.
-        name: Name of the argument, which is the id of a lambda.
+        name: Name of the argument; it is the id of a function without a name.
     """
     if isinstance(value, str):
         return typable(value)

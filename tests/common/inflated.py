@@ -28,7 +28,7 @@ OUTER = 1.1
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A body with its unknowns; a tag of a surface is its place among those that were marked."""
+    """A body with its unknowns; ``ds(i + 1)`` is the surface of the i-th marker of :func:`body`."""
 
     u: dolfinx.fem.Function
     p: dolfinx.fem.Function  #: Pressure in each cell, to be condensed
@@ -60,7 +60,16 @@ def body(
     kappa: float = 1e4,
     pressure: tuple[str, int] = ("DG", 0),
 ) -> Body:
-    """Return a body that slides in planes (axis, place); surface i has the tag i + 1."""
+    """Return a neo-Hookean body.
+
+    Args:
+        mesh: Mesh of the body.
+        planes: Planes (axis, place) in which the body slides.
+        surfaces: Markers of surfaces; surface i has the tag i + 1.
+        stiffness: Shear modulus.
+        kappa: κ over the shear modulus.
+        pressure: Family and degree of the condensed pressure.
+    """
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     u = dolfinx.fem.Function(V, name="u")
     p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, pressure), name="p")
@@ -97,7 +106,7 @@ def balloon_pressure(stretch: float) -> float:
 
 
 def balloon_cavity(ball: Body, stretch: float = 1.0) -> Cavity:
-    """Return its cavity; the volume is that of a stretch of the inner radius."""
+    """Return the cavity of a balloon; its volume is that at a stretch of the inner radius."""
     cavity = Cavity(ball.u, ball.ds(1), volume=1.0)
     cavity.volume.value = cavity.present_volume() * stretch**3
     return cavity

@@ -33,7 +33,7 @@ def volumes(wall: WallArrays) -> dict[str, float]:
 
 
 def watertight(wall: WallArrays) -> None:
-    """Assert that the facets are the faces of one cell alone, each of them once."""
+    """Assert that the facets are the faces of a single cell, each of them once."""
     faces = wall.cells[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3)
     found, count = np.unique(np.sort(faces, axis=1), axis=0, return_counts=True)
     agree(count.max() == 2)
@@ -44,13 +44,13 @@ def watertight(wall: WallArrays) -> None:
 def pipe(
     n: int = 24, m: int = 12, radius: float = 3.0, length: float = 10.0
 ) -> tuple[Array, Indices]:
-    """A straight lumen with open ends, triangles facing outwards."""
+    """Return points and triangles of a straight lumen with open ends, triangles facing outwards."""
     axis, t, _ = tube.unit_tube(n, m, quarter=False)
     return axis * [radius, radius, length], t
 
 
 def write_stl(path: Path, x: Array, t: Indices, *, binary: bool) -> Path:
-    """Write a surface; as text, packed if the name says so, or as numbers."""
+    """Write a surface in binary, or as text, which is compressed if the name ends in ``.gz``."""
     if binary:
         record = np.zeros(len(t), dtype=[("n", "<f4", 3), ("x", "<f4", (3, 3)), ("a", "<u2")])
         record["x"] = x[t]

@@ -1,9 +1,9 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The mixed problem in u and p, not condensed and not torn: Newton's method with MUMPS.
+"""The mixed problem in u and p, neither condensed nor torn: Newton's method with MUMPS.
 
-Each process solves the whole of it by itself. It shares no line with the package.
+Each process solves the whole problem by itself, without any code of the package.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ ELEMENTS = {
 
 @dataclass(frozen=True)
 class Block:
-    """A distorted block of rubber, clamped on the left, that has weight.
+    """A distorted block of rubber in its weight, clamped on the left.
 
-    Its fields are a pressure, or a dilation θ and a pressure.
+    Its condensed fields are a pressure, or a dilation θ and a pressure.
     """
 
     u: dolfinx.fem.Function
@@ -69,7 +69,7 @@ class Block:
         return ufl.derivative(self.F_u, self.u, ufl.TrialFunction(self.u.function_space))
 
     def deform(self) -> None:
-        """Set a state that satisfies no equation."""
+        """Set u and the fields to a state that is no solution of any equation."""
         self.u.interpolate(
             lambda x: 0.05 * (np.sin(2 * np.roll(x, 1, 0)) + x[0] * x[1])[: len(self.u)]
         )
@@ -78,7 +78,7 @@ class Block:
 
 
 def block(comm: MPI.Comm, element: str, kappa: float, n: int = 3) -> Block:
-    """Make a block with some of ``ELEMENTS``, κ over a shear modulus of 1, and n cells an edge."""
+    """Create a block with a key of ``ELEMENTS``, shear modulus 1, κ, and n cells an edge."""
     cell, degree, pressures = ELEMENTS[element]
     kind = getattr(dolfinx.mesh.CellType, cell)
     mesh = cube(3 if "hedron" in cell else 2, n, kind, comm)
@@ -104,7 +104,7 @@ def block(comm: MPI.Comm, element: str, kappa: float, n: int = 3) -> Block:
 
 
 class Mixed:
-    """The blocks of a body whose mesh lives on this process alone.
+    """Matrices, residuals and Newton steps of a body whose mesh is on this process alone.
 
     Attributes:
         body: A wall or a block.
@@ -120,7 +120,7 @@ class Mixed:
         self._K = [[compiled(K) for K in row] for row in blocks]
 
     def blocks(self) -> list[list[scipy.sparse.csr_array]]:
-        """Assemble K_uu, K_up, … and so on, without boundary conditions."""
+        """Assemble K_uu, K_up, … without boundary conditions; a row of blocks for each unknown."""
         return [[assembled(form) for form in row] for row in self._K]
 
     def residual(self) -> Array:
@@ -128,7 +128,7 @@ class Mixed:
         return np.concatenate([dolfinx.fem.assemble_vector(form).array.copy() for form in self._r])
 
     def step(self) -> tuple[Array, Array]:
-        """Return Newton's step Δu, Δp from the present state."""
+        """Return the Newton step Δu, Δp from the present state; Δp of all fields in a row."""
         n = len(self.body.u.x.array)
         r = self.residual()
         K = scipy.sparse.block_array(self.blocks(), format="csc")
@@ -172,7 +172,10 @@ def solve_sparse(K: scipy.sparse.csr_array, b: Array) -> Array:
 
 
 def compiled(form: ufl.Form) -> dolfinx.fem.Form:
-    """Compile a form of a mesh that each process has for itself, one process before the others."""
+    """Compile a form of a mesh that each process has for itself. Collective.
+
+    The first process compiles it; the others then find the code in the cache.
+    """
     comm = MPI.COMM_WORLD
     if comm.rank == 0:
         form = dolfinx.fem.form(form)
@@ -181,7 +184,7 @@ def compiled(form: ufl.Form) -> dolfinx.fem.Form:
 
 
 def assembled(form: dolfinx.fem.Form) -> scipy.sparse.csr_array:
-    """Assemble a block; only PETSc's matrices take different numbers of components."""
+    """Assemble a block as a matrix of PETSc, whose rows and columns may have other block sizes."""
     M = dolfinx.fem.petsc.assemble_matrix(form)
     M.assemble()
     indptr, indices, values = M.getValuesCSR()
@@ -191,7 +194,7 @@ def assembled(form: dolfinx.fem.Form) -> scipy.sparse.csr_array:
 
 
 def by_place(f: dolfinx.fem.Function) -> Array:
-    """Return the values of all processes, sorted by the dofs' places, (dofs, components)."""
+    """Return the values of all processes, sorted by the coordinates of the dofs, (nodes, bs)."""
     V = f.function_space
     n = V.dofmap.index_map.size_local
     bs = V.dofmap.index_map_bs
@@ -202,7 +205,7 @@ def by_place(f: dolfinx.fem.Function) -> Array:
 
 
 def by_cell(f: dolfinx.fem.Function) -> Array:
-    """Return the values of all processes on each cell, as the mesh was made, (cells, dofs)."""
+    """Return the values of all processes on each cell, in the original order of cells."""
     V = f.function_space
     mesh = V.mesh
     comm = V.mesh.comm
@@ -228,7 +231,7 @@ def solve_assembled(A: PETSc.Mat, b: PETSc.Vec) -> Array:
 
 
 def errors_of_solves(problem: Any) -> list[float]:
-    """Compare every linear solve from now on with MUMPS; return the growing list of differences."""
+    """Compare each later linear solve with MUMPS; return the list of relative errors."""
     errors = []
 
     def compare(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:

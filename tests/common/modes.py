@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The modes of all subdomains of a process, attribute by attribute."""
+"""Modes and factors of all subdomains: attributes of ``SubdomainModes`` as lists, dense columns."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Newton's method without the package: dolfinx assembles, and a dense matrix is solved with."""
+"""Newton's method without the package: dolfinx assembles, and NumPy solves with dense matrices."""
 
 from __future__ import annotations
 
@@ -20,9 +20,16 @@ def newton_by_hand(
     s: dolfinx.fem.Constant,
     c: ufl.Form,
 ) -> None:
-    """Solve F(w, s; v) = 0 and c(w) = 0, with a scalar s, by [K B; Cᵀ 0] on all ranks.
+    """Solve F(w, s; v) = 0 and c(w) = 0 for w and a scalar s.
 
-    Conditions have the values of w on their dofs.
+    Each process solves with the whole matrix [K B; Cᵀ 0].
+
+    Args:
+        F: Residual.
+        w: First guess with the prescribed values, and the solution.
+        bcs: Dirichlet conditions.
+        s: First guess of the scalar, and its solution.
+        c: The equation of the scalar.
     """
     dofmap = w.function_space.dofmap
     n = dofmap.index_map.size_local * dofmap.index_map_bs

@@ -3,9 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """A block whose motion is one scalar: memory, dashpots, a moving base, pressure, inertia, a plate.
 
-It fills the unit cube, moves along x alone, and has one cell in this direction: with the base at
-u = g and the other face at u = s the stretch is 1 + s − g everywhere. :class:`Scalar` integrates
-the same motion by hand, and :func:`exact` the differential equation.
+The block fills the unit cube, moves only along x, and has one cell in this direction. If its base
+is at u = g and its other face at u = s, the stretch is 1 + s − g everywhere. :class:`Block`
+computes the motion by finite elements. :class:`Scalar` makes the same steps for the scalar s alone,
+and :func:`exact` integrates its differential equation.
 """
 
 from __future__ import annotations
@@ -37,13 +38,13 @@ DENSITY = 0.05  # kPa, kPa, s, kg/mm³
 
 @dataclass(frozen=True)
 class Law:
-    """What is in a sequence."""
+    """Material, loads and supports of a sequence of steps; the defaults leave each of them out."""
 
     inertia: float | None = None  # ρ_∞ of the motion; None for equilibria
-    share: float = 0.0  # of the Maxwell branch
-    viscosity: float = 0.0  # of the dashpots
-    base: float = 0.0  # amplitude of its motion
-    pressure: float = 0.0  # its amplitude
+    share: float = 0.0  # β of the Maxwell branch
+    viscosity: float = 0.0  # of the dashpots on the face [kPa s/mm]
+    base: float = 0.0  # amplitude of the motion of the base [mm]
+    pressure: float = 0.0  # amplitude of the pressure on the face [kPa]
     stop: float | None = None  # displacement at which the face meets a plate; None without one
 
     def g(self, t: float) -> float:
@@ -56,29 +57,29 @@ class Law:
 
 
 def slope(stretch: float) -> float:
-    """∂Ψ̄/∂λ of ½ c (Ī₁ − 3) under F = diag(λ, 1, 1)."""
+    """Return ∂Ψ̄/∂λ of ½ c (Ī₁ − 3) under F = diag(λ, 1, 1) [kPa]."""
     return 2.0 * C1 / 3.0 * (stretch ** (1.0 / 3.0) - stretch ** (-5.0 / 3.0))
 
 
 @dataclass
 class Scalar:
-    """The same steps by hand; base and face are the entries 0 and 1."""
+    """The same steps by hand; entry 0 of u, v, ü and a is the base, entry 1 the face."""
 
     law: Law
     t: float = 0.0
     u: np.ndarray = field(default_factory=lambda: np.zeros(2))
     v: np.ndarray = field(default_factory=lambda: np.zeros(2))
     ü: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    a: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    S: float = 0.0
-    Q: float = 0.0
-    seen: float = 0.0
-    contact: float = 0.0  # what the plate pushes back with
-    h: float = 0.0
-    dissipated: float = 0.0
+    a: np.ndarray = field(default_factory=lambda: np.zeros(2))  # algorithmic acceleration
+    S: float = 0.0  # second Piola stress without the overstress
+    Q: float = 0.0  # overstress of the Maxwell branch
+    seen: float = 0.0  # largest stretch so far
+    contact: float = 0.0  # force of the plate on the face
+    h: float = 0.0  # length of the last step
+    dissipated: float = 0.0  # work of the dashpots in the last step
 
     def start(self, h: float) -> None:
-        """Start a path whose first step has a length of about h."""
+        """Compute v, ü and a at the start of a path whose first step has a length of about h."""
         if self.law.inertia is None:
             return
         g = [self.law.g(self.t + x) for x in (0.0, h / 2.0, h)]
@@ -94,14 +95,14 @@ class Scalar:
         return math.exp(-h / TAU), self.law.share * math.exp(-h / (2.0 * TAU))
 
     def _force(self, u: np.ndarray, v: np.ndarray, t: float, h: float) -> float:
-        """On the face, but for inertia, at a time after a step of length h."""
+        """Return the force on the face, without inertia, at time t after a step of length h."""
         stretch = 1.0 + u[1] - u[0]
         (fades, δ) = self._fading(h)
         force = (1.0 + δ) * slope(stretch) + (fades * self.Q - δ * self.S) * stretch
         return force + KAPPA * (stretch - 1.0) + self.law.p(t) + self.law.viscosity * v[1]
 
     def step(self, h: float) -> None:
-        """Make a step of length h."""
+        """Make a step of length h, by the generalised-α method if the law has inertia."""
         law = self.law
         last = self.u.copy()
         t = self.t + h
@@ -153,7 +154,11 @@ class Scalar:
 
 
 def exact(law: Law, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement of the face by the differential equation, with Q̇ = −Q/τ + β Ṡ; and ∫ η v² dt."""
+    """Integrate the differential equation of the face, with Q̇ = −Q/τ + β Ṡ.
+
+    Returns:
+        Displacement of the face and dissipated work ∫ η v² dt at each of the times.
+    """
 
     def g(t: float, k: int) -> float:
         """g, ġ and g̈."""
@@ -247,7 +252,7 @@ class Block:
         self._face = 3 * np.flatnonzero(np.isclose(x[:, 0], 1.0))
 
     def reset(self, law: Law, value: float = 0.0) -> None:
-        """Set all values that a step changes to those of a law."""
+        """Set all values that a step changes to ``value``, and the parameters to those of a law."""
         changing = [self.u, self.S, self.Q, self.seen, self.last]
         changing += [] if self.motion is None else self.motion.histories
         changing += [contact.multiplier for contact in self.contacts]
@@ -281,7 +286,16 @@ class Block:
         return values[0], values[1], values[2]
 
     def follow(self, law: Law, targets, first: float, *, start=0.0, growth=1.0, **arguments):
-        """Follow the times; in equilibria the load is the time."""
+        """Follow the times by ``follow_time``, or by ``follow_load`` if the law has no inertia.
+
+        Args:
+            law: Parameters of the sequence.
+            targets: Times that are met exactly [s].
+            first: Length of the first step [s].
+            start: Time of the present state [s].
+            growth: Largest quotient of the lengths of two steps.
+            arguments: Further arguments of the path; ``on_step`` is required.
+        """
         known = [start]
         checkpoint = arguments.get("checkpoint")
         on_step = arguments.pop("on_step")

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The cube of the paper: a cell of 24 linear tetrahedra is a subdomain; clamped all round."""
+"""The paper's cube on its coarsest level: each subdomain is a cell of 24 linear tetrahedra."""
 
 from __future__ import annotations
 
@@ -22,11 +22,13 @@ def cube(
     components: int = 3,
     fixed: Callable[[Array], npt.NDArray[np.bool_]] | None = None,
 ) -> HandTorn:
-    """Tear a cube of subdomains³ cells, 8³ in the paper.
+    """Tear a cube into one subdomain for each cell.
 
-    Components are three for linear elasticity, one for the Laplace equation; ``fixed`` marks the
-    Dirichlet dofs, (nodes, components), of nodes at x, (nodes, 3), in units of cells; if not given
-    it is the whole surface, as in the paper.
+    Args:
+        subdomains: Cells along an edge, 8 in the paper.
+        components: Three for linear elasticity, one for the Laplace equation.
+        fixed: Marks the Dirichlet dofs by the coordinates of the nodes in units of cells, (nodes,
+            3) → (nodes, components); the whole surface, as in the paper, if not given.
     """
     nodes = np.full((7, 3), 0.5)  # the centre, and those of faces
     nodes[np.arange(1, 7), FACES[:, 0]] = FACES[:, 1]
@@ -51,7 +53,7 @@ def cube(
 
 
 def element(corners: Array, components: int) -> Array:
-    """Stiffness of a tetrahedron with linear shape functions."""
+    """Return the stiffness of a linear tetrahedron with the given corners, (4, 3)."""
     edges = corners[1:] - corners[0]
     g = np.linalg.solve(edges, np.eye(4)[1:] - np.eye(4)[0])  # ∇φ, (3, 4)
     G = abs(np.linalg.det(edges)) / 6 * np.einsum("ia,jb->ijab", g, g)

@@ -56,7 +56,7 @@ def _stress(u: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
 
 
 def _given(x: ufl.SpatialCoordinate, dim: int) -> ufl.core.expr.Expr:
-    """Return g."""
+    """Return g, the displacement that the far end is to follow, (dim,)."""
     return ufl.as_vector([0.15, 0.1 * x[1] - 0.2, 0.05][:dim])
 
 
@@ -110,7 +110,7 @@ def heavy_bar(mesh: dolfinx.mesh.Mesh, ratio: float, degree: int = 1) -> Problem
 
 
 def jump_bar(mesh: dolfinx.mesh.Mesh, ratio: float, degree: int = 1) -> Problem:
-    """Make the outer half stiffer by a ratio, and load it in proportion."""
+    """Make the outer half stiffer by a ratio; a traction at the far end grows with it."""
 
     def end(u, v, ds):
         x = ufl.SpatialCoordinate(mesh)

@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 def cg(
     system: PrimalSystem, f: Array, *, rtol: float = 1e-10, max_it: int = 200
 ) -> tuple[Array, KrylovInfo]:
-    """Solve to a share of the norm of the right-hand side."""
+    """Solve by conjugate gradients until ‖r‖ ≤ rtol ‖b‖; return the solution and how it ended."""
     target = rtol * system.norm(system.copies.sum(f))
     x, info, _ = conjugate_gradients(
         system,
@@ -48,7 +48,14 @@ def cg(
 def create(
     pattern: Pattern, within: Lifetime, more: Callable[[Setup, Copies], list[Array]] | None = None
 ) -> PrimalFormulation:
-    """Build the primal form of a matrix, with E and these further columns in the coarse space."""
+    """Build the primal form of a matrix.
+
+    Args:
+        pattern: Pattern of the torn matrix.
+        within: Owner of PETSc's objects.
+        more: Returns further columns of the coarse space for each subdomain, (n_{Γ,i}, k) each; it
+            has E alone if not given.
+    """
     setup = set_up(pattern, within, within)
     S = setup.operator
     copies = within.own(Copies(pattern.torn, S.interfaces, setup.delta))
@@ -62,7 +69,7 @@ def create(
 
 @dataclass(frozen=True, slots=True)
 class Dense:
-    """The same, dense, with whole matrices on all processes.
+    """The operators of the primal form as dense matrices, whole on each process.
 
     Attributes:
         T: Copies of the free interface dofs, (n, N).
@@ -105,7 +112,7 @@ class Dense:
 
 
 def reference(problem: HandTorn, form: PrimalFormulation) -> Dense:
-    """Compute the dense counterparts from the local matrices, R and ρ."""
+    """Compute the dense operators from the local matrices, and from R and ρ of the primal form."""
     torn = form.pattern.torn
     operator = form.operator
     copies = form.system.copies

@@ -62,7 +62,7 @@ class Problem:
 def torn(
     problem: Problem, subdomains: object = 4, prefix: str | None = None, **options: object
 ) -> LinearProblem:
-    """Tear a problem, with PETSc's options."""
+    """Create the FETI problem; ``options`` are PETSc options without prefix."""
     return LinearProblem(
         problem.a,
         problem.L,
@@ -89,7 +89,7 @@ def cube(
 
 
 def without(mesh: dolfinx.mesh.Mesh, where: Marker) -> dolfinx.mesh.Mesh:
-    """Return what is left of a mesh without the cells that are marked."""
+    """Return the submesh of the cells that are not marked."""
     dim = mesh.topology.dim
     cells = mesh.topology.index_map(mesh.topology.dim)
     every = np.arange(cells.size_local + cells.num_ghosts)
@@ -103,7 +103,14 @@ def dirichlet(
     value: Callable[[Array], Array] | None = None,
     component: int | None = None,
 ) -> dolfinx.fem.DirichletBC:
-    """Prescribe a function (zero if not given), or one of its components, on the boundary."""
+    """Return the condition that prescribes u, or a component of it, on a part of the boundary.
+
+    Args:
+        V: Function space.
+        where: Marks points of the boundary.
+        value: Prescribed values at points, as ``interpolate`` takes them; zero if not given.
+        component: The component that is prescribed; all if not given.
+    """
     mesh = V.mesh
     facets = dolfinx.mesh.locate_entities_boundary(mesh, mesh.topology.dim - 1, where)
     part = V if component is None else V.sub(component)
@@ -119,7 +126,7 @@ def dirichlet(
 
 
 def tagged(mesh: dolfinx.mesh.Mesh, *surfaces: Marker) -> ufl.Measure:
-    """Return the measure whose part i + 1 is what the i-th marks of the boundary."""
+    """Return a measure ds of the boundary; ``ds(i + 1)`` is the part that the i-th marker marks."""
     dim = mesh.topology.dim - 1
     found = [dolfinx.mesh.locate_entities_boundary(mesh, dim, where) for where in surfaces]
     facets = np.concatenate(found)
@@ -145,9 +152,10 @@ def everywhere(x: Array) -> npt.NDArray[np.bool_]:
 
 
 def with_bubbles(mesh: dolfinx.mesh.Mesh, degree: int = 1) -> basix.ufl._ElementBase:
-    """Enrich a Lagrange element on simplices by the bubble of the cell, and P2 by those of faces.
+    """Return a Lagrange element on simplices with bubbles.
 
-    That is the MINI element's for degree 1, and in space P2 with five bubbles for degree 2.
+    Degree 1 has the bubble of the cell (MINI element). Degree 2 also has those of the faces, which
+    makes five bubbles in a tetrahedron.
     """
     if degree == 2:
         return quadratic_with_bubbles(mesh.topology.cell_name())
@@ -179,8 +187,14 @@ def elasticity(
 ) -> Problem:
     """Set up linear elasticity with a body force; Young's modulus is 210.
 
-    A scalar element may take Lagrange's place. A stretched body has an inhomogeneous u on the
-    clamped part, one component on x₀ = 1, and springs and a traction on the whole boundary.
+    Args:
+        mesh: Mesh of the body.
+        degree: Degree of the Lagrange element.
+        element: Scalar element of each component, in place of the Lagrange element.
+        nu: Poisson's ratio.
+        stretched: Whether u is inhomogeneous on the clamped part, a component is prescribed on
+            x₀ = 1, and the whole boundary has springs and a traction.
+        clamped: Marks the clamped part of the boundary; None for no condition.
     """
     dim = mesh.geometry.dim
     scalar = element or basix.ufl.element("Lagrange", mesh.basix_cell(), degree)

@@ -1,17 +1,19 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Programs that tests start: a path with checkpoints, which is killed, and two cubes that are cut.
+"""Programs that tests start: a path that is killed and continued, and partitions of two cubes.
 
     python3 programs.py equilibria|inertia FOLDER [STEPS RANK]
     mpirun -n 2 python3 programs.py cut FILE
 
-The block that is one scalar goes through time with all that there is, or on from the checkpoint
-in the folder, and writes what it has found to `FOLDER.npz`. After so many of its 60 steps, such as
-3.7, one process kills itself: four steps are balanced then, and 0.3 of the time of a step is over.
+The first program follows the block of ``one_scalar.py`` through 60 steps, with memory, dashpots, a
+moving base and pressure. It continues from a checkpoint in the folder if there is one. At the end
+it writes its results to `FOLDER.npz`. With STEPS the process RANK kills itself: with 3.7 after four
+steps, once 0.3 times the duration of the last step has passed.
 
-The cubes are alike. The file has for each, and for each of ``SEEDS``, the process and subdomain of
-each cell, by the cells of the mesh before it was distributed.
+The second program meshes and decomposes two equal cubes. The file has, for each cube and each of
+``SEEDS``, the process and the subdomain of each cell, by its number in the mesh before this was
+distributed.
 """
 
 from __future__ import annotations
@@ -39,12 +41,13 @@ from dolfinx_feti.runtime.scotch import repeatable_partitions
 COMM = MPI.COMM_WORLD
 SEEDS = (0, 0, 1)
 
-#: What names the processes of a run to those that it starts.
+#: Beginnings of the environment variables that MPI sets in its processes; a program that starts
+#: mpirun must not pass them on.
 LAUNCHERS = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
 
 
 def start(*words: object, processes: int = 1, script: object = __file__) -> subprocess.Popen[str]:
-    """Start this program, or another script, on some processes."""
+    """Start this program, or another script, with ``words`` as its command line."""
     own = {k: v for k, v in os.environ.items() if not k.startswith((*LAUNCHERS, "SCOTCH_"))}
     own |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
     own |= {
@@ -59,7 +62,7 @@ def start(*words: object, processes: int = 1, script: object = __file__) -> subp
 
 
 def finish(process: subprocess.Popen[str]) -> None:
-    """Wait for a program, which has to succeed."""
+    """Wait for a program, and assert that it succeeds; a failure shows its output."""
     try:
         said, _ = process.communicate(timeout=300)
     finally:
@@ -68,7 +71,7 @@ def finish(process: subprocess.Popen[str]) -> None:
 
 
 def run_block(kind: str, folder: Path, steps: str = "inf", rank: str = "0") -> None:
-    """Run to the end, or until the program is killed."""
+    """Follow the block to the end, or until this process kills itself."""
     law = Law(0.8 if kind == "inertia" else None, share=0.5, viscosity=0.3, base=0.1, pressure=0.4)
     restart = COMM.bcast((folder / "state.npz").exists())
     block = Block(COMM, law.inertia)

@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Random forms from a seeded grammar: bodies, unknowns, coefficients, expressions, measures.
 
-A seed is a form: the same one on any number of processes.
+A seed determines a form, which is the same on any number of processes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ element = basix.ufl.element
 
 @cache
 def body(cell: str, is_curved: bool) -> tuple[dolfinx.mesh.Mesh, object, object, list]:
-    """A mesh of a few cells, tags of its cells and facets, and cells by number in a list."""
+    """Return a mesh of a few cells, tags of its cells and facets, and a list (number, cells)."""
     kind = getattr(Cell, cell)
     if cell == "interval":
         mesh = dolfinx.mesh.create_interval(COMM, 7, [0.0, 1.3])
@@ -55,14 +55,14 @@ def body(cell: str, is_curved: bool) -> tuple[dolfinx.mesh.Mesh, object, object,
 
 
 def bent(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.Mesh:
-    """The same cells, with quadratic geometry."""
+    """Return a mesh with the same cells and quadratic geometry."""
     return create_curved_mesh(
         mesh, lambda x: x + 0.1 * np.outer(x[:, -1] ** 2, np.eye(x.shape[1])[0])
     )
 
 
 class Grammar:
-    """Draws a form, of rank 0, 1 or 2, of arguments in V; ``text`` lists the choices."""
+    """Draws a form of rank 0, 1 or 2 with arguments in V; ``text`` lists its random choices."""
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A strip whose cells are inside out between the points of the quadrature, and no others."""
+"""A strip whose cells are inside out only between the points of the quadrature."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from dolfinx_feti.mechanics.materials import perturbed_lagrangian
 
 ROWS = 4
 
-#: Strain at the vertices x = 1 of a strip of which all vertices there are inverted: det F = −0.1.
+#: Strains s of :class:`Strip`. With this one det F = −0.1 at all vertices with x = 1.
 INVERTED = 1.1
 
-#: The same of distorted cells: det F = 0.15 there, where its mean is 0.43 or 0.72.
+#: Distorted cells: det F = 0.15 at these vertices, and 0.43 or 0.72 in the mean of a cell.
 DISTORTED = 0.85
 
-#: And of one whose cells are sound.
+#: Sound cells: det F = 0.5 at these vertices.
 SOUND = 0.5
 
 
 class Strip:
     """Two columns of cells, the left one of which is compressed: det F = 1 − s x for x ≤ 1.
 
-    The unknown is in equilibrium there by the choice of its load.
+    Without a condensed pressure the load is chosen so that ``aim``, the compressed state, is an
+    equilibrium.
     """
 
     def __init__(
@@ -82,7 +83,7 @@ class Strip:
         return ufl.inner(F, F) - 2 * ufl.ln(ufl.det(F))
 
     def place(self, f, strain):
-        """Set a function to the compression."""
+        """Set a function f to the compression with this strain."""
 
         def compressed(x):
             ξ = np.minimum(x[0] / self.unit, 1.0)
@@ -91,7 +92,7 @@ class Strip:
         f.interpolate(compressed)
 
     def solve(self, strain):
-        """Solve for a compression, beginning there."""
+        """Solve for the compression with this strain, from a first guess that is its solution."""
         self.place(self.aim, strain)
         self.place(self.u, strain)
         self.problem.solve()

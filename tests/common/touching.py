@@ -40,13 +40,13 @@ class Touching:
 
 
 def plate(dim):
-    """Return the tool of a plate below a block."""
+    """Return a function that creates a tool from its height: a plate below a block."""
     normal = (*[0.0] * (dim - 1), 1.0)
     return lambda height: half_space(normal, offset=height)
 
 
 def bump(dim, length=1.0):
-    """Return the tool of a sphere below a block."""
+    """Return a function that creates a tool from its height: a sphere below a block."""
     radius = 0.7 * length
     centre = np.zeros(dim)
     centre[-1] = -radius
@@ -95,11 +95,23 @@ def block(
     volume_tolerance: float | None = None,
     along_arc: bool = False,
 ) -> Touching:
-    """Set up a block that slides on planes through the origin, under a tool at its lower face.
+    """Set up a block that slides on planes through the origin, with a tool at its lower face.
 
-    The upper face is held, or carries a pressure. ``tool`` is called with a Constant, the height
-    (along the last axis), and returns the distance. With a tolerance of the volume the material has
-    a condensed pressure and multipliers; along an arc the pressure on the upper face is unknown.
+    Args:
+        tool: Creates the tool from its height along the last axis, a Constant.
+        dim: 2 or 3.
+        n: Cells along an edge.
+        cell: Type of the cells.
+        degree: Degree of the displacement.
+        stiffness: Shear modulus.
+        length: Edge of the block.
+        pressure: Pressure on the upper face; None if its normal displacement is zero instead.
+        subdomains: Number of subdomains.
+        tolerance: ``contact_tolerance`` of the problem.
+        as_residual: Whether the problem gets a residual instead of an energy.
+        options: PETSc options without prefix; tight tolerances if not given.
+        volume_tolerance: Of the problem; the material then has a condensed pressure.
+        along_arc: Whether the pressure on the upper face is unknown.
     """
     mesh = cube(dim, n, cell, length)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (dim,)))

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Numbers from UFL: expressions of constants without a mesh, forms with one, kernels of cells."""
+"""Numbers from UFL: values of expressions and forms, and tensors of cells that are summed up."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from ufl.core.expr import Expr
 
 
 def value(expression: Expr) -> npt.NDArray[np.float64]:
-    """Value of an expression without coefficients, of any shape; no compiler is involved."""
+    """Return the value of an expression without coefficients, of any shape, without a compiler."""
     shape = expression.ufl_shape
     entries = [expression[i](()) if i else expression(()) for i in np.ndindex(*shape)]
     return np.array(entries, dtype=np.float64).reshape(shape)
 
 
 def variable(matrix: npt.ArrayLike) -> ufl.variable.Variable:
-    """A matrix of numbers as a variable that can be differentiated by."""
+    """Return a matrix of numbers as a variable, by which expressions can be differentiated."""
     return ufl.variable(ufl.as_matrix(np.asarray(matrix, dtype=np.float64).tolist()))
 
 
 def scalar(form: ufl.Form, *functions: dolfinx.fem.Function) -> float:
-    """Value of a form on all processes, its arguments replaced by functions, the last one first."""
+    """Return the value of a form, with functions in place of its arguments, the last one first."""
     comm: MPI.Comm = form.ufl_domain().ufl_cargo().comm
     for function in functions:
         form = ufl.action(form, function)
@@ -38,7 +38,7 @@ def scalar(form: ufl.Form, *functions: dolfinx.fem.Function) -> float:
 
 
 def displacement(mesh: dolfinx.mesh.Mesh, degree: int) -> dolfinx.fem.Function:
-    """A small one that is no polynomial."""
+    """Return a small displacement that interpolates a function which is no polynomial."""
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (mesh.geometry.dim,)))
     u = dolfinx.fem.Function(V)
     u.interpolate(lambda x: 0.1 * np.stack([np.sin(x[1]), x[0] * x[1], x[0] ** 2])[: len(u)])
@@ -46,13 +46,22 @@ def displacement(mesh: dolfinx.mesh.Mesh, degree: int) -> dolfinx.fem.Function:
 
 
 def require_equal(form: ufl.Form, values: np.ndarray, tolerance: float) -> None:
-    """Require the values of dolfinx; on several processes it has those of others, too."""
+    """Assert that the tensors of cells add up to dolfinx's tensor, on one process.
+
+    On several processes dolfinx's tensor also has contributions of cells on other processes, and
+    nothing is compared.
+
+    Args:
+        form: Form of any rank.
+        values: Tensor of each owned cell, (cells, dofs, …).
+        tolerance: Relative to the largest entry.
+    """
     if MPI.COMM_WORLD.size == 1:
         equal(summed(form, values), assembled(form), tolerance)
 
 
 def assembled(form: ufl.Form) -> np.ndarray:
-    """Dolfinx's scalar, or vector, or dense matrix, of this process."""
+    """Return dolfinx's scalar, vector or dense matrix of a form."""
     compiled = dolfinx.fem.form(form)
     if len(form.arguments()) == 2:
         matrix = dolfinx.fem.petsc.assemble_matrix(compiled)
@@ -66,7 +75,7 @@ def assembled(form: ufl.Form) -> np.ndarray:
 
 
 def summed(form: ufl.Form, values: np.ndarray) -> np.ndarray:
-    """What a kernel has computed of a form, added to dense arrays, as in ``assembled``."""
+    """Add the tensors of cells, (cells, dofs, …), into a dense array like that of ``assembled``."""
     if not form.arguments():
         return values.sum(keepdims=True)
     sizes = []

@@ -27,12 +27,12 @@ EXAMPLE = ROOT / "meshes/example.msh"
 
 
 def on_first(make: Callable[[], T]) -> T:
-    """Do it on the first process; all have the result, or raise the error."""
+    """Call a function on the first process; all return its result, or raise its error."""
     return collective.on_root(make, COMM)
 
 
 def tube(folder: Path, **options: object) -> Wall:
-    """Write and read a tube."""
+    """Write ``tube.msh`` into a folder with the options of ``create_tube``, and read it."""
     path = folder / "tube.msh"
     on_first(lambda: create_tube(path, **options))
     return read_wall(path, COMM)

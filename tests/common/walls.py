@@ -1,11 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Bodies under a pressure that follows, small enough for tests, as a dolfinx user writes them.
+"""Bodies under a follower pressure, small enough for tests, as a dolfinx user writes them.
 
-The two-layer tube, and the beam of S. Land et al., *Verification of cardiac mechanics software*,
-Proc. R. Soc. A 471 (2015) 20150641, problem 1, soft and slender, whose rim is free but for one
-edge: Guccione's law with C = 2 kPa, b_f, b_t, b_fs = 8, 2, 4, and fibres along x.
+There are two. The first is the two-layer tube. The second is the beam of S. Land et al.,
+*Verification of cardiac mechanics software*, Proc. R. Soc. A 471 (2015) 20150641, problem 1:
+Guccione's law with C = 2 kPa, b_f, b_t, b_fs = 8, 2, 4, and fibres along x. It is soft and slender,
+and the rim of its loaded face is free except for one edge.
 """
 
 from __future__ import annotations
@@ -54,18 +55,18 @@ class Wall:
 
     @property
     def fields(self) -> tuple[dolfinx.fem.Function, ...]:
-        """What is condensed."""
+        """The condensed fields: the pressure."""
         return (self.p,)
 
     @property
     def F_fields(self) -> tuple[ufl.Form, ...]:
-        """Its residuals."""
+        """Residuals of the condensed fields."""
         return (self.F_p,)
 
     def problem(
         self, subdomains: int | npt.NDArray[np.integer], options: Mapping[str, object] | None = None
     ) -> dolfinx_feti.NonlinearProblem:
-        """Tear the wall; the values of ``options`` are without prefix."""
+        """Create the FETI problem; ``options`` are PETSc options without prefix."""
         return dolfinx_feti.NonlinearProblem(
             [self.F_u, self.F_p],
             self.u,
@@ -80,7 +81,7 @@ class Wall:
     def inflate(
         self, problem: dolfinx_feti.NonlinearProblem, pressures: Sequence[float]
     ) -> list[dolfinx_feti.problems.history.NewtonStep]:
-        """Solve at one pressure [mmHg] after the other; return the record of all steps."""
+        """Solve at one pressure [mmHg] after the other; return all Newton steps."""
         steps = []
         for pressure in pressures:
             self.load.value = loads.mmhg(pressure)
@@ -99,7 +100,17 @@ def tube(
     length: float = 0.8,
     quarter: bool = False,
 ) -> dolfinx.mesh.Mesh:
-    """Mesh a tube, or its part in the first quadrant, with bricks cut into six tetrahedra."""
+    """Mesh a tube, or its part in the first quadrant, with bricks cut into six tetrahedra.
+
+    Args:
+        comm: Communicator.
+        media: Bricks through the media.
+        adventitia: Bricks through the adventitia.
+        around: Bricks around the tube, or around its quarter.
+        along: Bricks along the axis.
+        length: Length [mm].
+        quarter: Whether only the part in the first quadrant is meshed.
+    """
     inside = np.linspace(INNER, INTERFACE, media + 1)
     radii = np.append(inside, np.linspace(INTERFACE, OUTER, adventitia + 1)[1:])
     columns = around + 1 if quarter else around
@@ -115,7 +126,7 @@ def tube(
 
 
 def create_mesh(comm: MPI.Comm, x: Array, cells: npt.NDArray[np.integer]) -> dolfinx.mesh.Mesh:
-    """Create a mesh of tetrahedra, with ghost cells, from what the first process holds."""
+    """Create a mesh of tetrahedra, with ghost cells, from the arrays of the first process."""
     if comm.rank > 0:
         x = x[:0]
         cells = cells[:0]
@@ -140,7 +151,13 @@ def wall(
 ) -> Wall:
     """Set up the two-layer wall: P_k–P_0, two families of fibres, a follower pressure.
 
-    A quarter has symmetry conditions, component by component, in place of clamped ends.
+    Args:
+        mesh: Mesh of :func:`tube`.
+        degree: k.
+        kappa: κ [kPa].
+        tangent: Kind of the pressure's tangent, or ``exact``, by UFL.
+        quarter: Whether the mesh is a quarter, which slides in its planes of symmetry and ends; a
+            whole tube is clamped at its ends.
     """
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,)))
     Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
@@ -167,7 +184,16 @@ def under_pressure(
     surface: ufl.Measure,
     tangent: str,
 ) -> Wall:
-    """Put a follower pressure on a surface, with a kind of its tangent or ``exact`` by UFL."""
+    """Create a wall from its stored energy and a follower pressure on a surface.
+
+    Args:
+        u: Displacement.
+        p: Pressure of the material.
+        bcs: Dirichlet conditions.
+        energy: Π(u, p) without the load.
+        surface: Measure of the loaded surface.
+        tangent: Kind of the pressure's tangent, or ``exact``, by UFL.
+    """
     V = u.function_space
     Q = p.function_space
     v = ufl.TestFunction(V)

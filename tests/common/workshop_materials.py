@@ -17,7 +17,7 @@ import ufl
 from dolfinx_feti import kinematics, materials
 from dolfinx_feti.workshop import Material, compile_material
 
-#: Quick to compile, and slow to run.
+#: Without optimisation: quick to compile, slow to run.
 JIT = {"cffi_extra_compile_args": ["-O0"]}
 
 C = 3.0
@@ -91,7 +91,7 @@ def contracting(C, J, tension=5.0):
 
 
 def unsplit(C, c=C):
-    """Neo-Hookean, but in I₁ in place of Ī₁, which is the same if incompressible."""
+    """Neo-Hookean in I₁ instead of Ī₁; the two are equal if J = 1."""
     return c / 2 * (ufl.tr(C) - 3)
 
 
@@ -147,7 +147,7 @@ def compiled(psi: Callable, *parameters: str) -> Material:
 
 
 def material(psi: Callable, kappa: float = math.inf, **parameters: float) -> Material:
-    """A compiled energy with another κ and values of its parameters."""
+    """Return a compiled energy with the given κ and values of its parameters."""
     return dataclasses.replace(compiled(psi, *parameters), kappa=kappa, parameters=dict(parameters))
 
 

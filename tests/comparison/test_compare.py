@@ -96,7 +96,7 @@ def test_solvers_agree_on_a_linear_problem():
 
 @pytest.mark.parametrize("create", [poisson, elasticity])
 def test_solvers_agree_in_the_complement_of_a_null_space(create):
-    """MUMPS included, which meets as many zero pivots; PETSc takes them out of its solution."""
+    """Also MUMPS, whose factorisation has a zero pivot for each null vector."""
     problem = linear(create(cube(2, 8), clamped=None))
     A, b = problem.linear_system()
     b.destroy()
@@ -106,7 +106,7 @@ def test_solvers_agree_in_the_complement_of_a_null_space(create):
 
 
 def test_problem_goes_on_after_a_comparison(solve_linear):
-    """Its own solver is another one; the solution is as it was."""
+    """The comparison changes neither the solver of the problem nor its solution."""
     problem = solve_linear(elasticity(cube(3, 3)), 4, {"ksp_rtol": RTOL})
     before = problem.u.x.array.copy()
     compare(problem, ["gamg"])
@@ -150,7 +150,7 @@ def test_differences_and_residuals_are_relative():
 
 
 def test_solvers_of_ones_own():
-    """A dict of PETSc's options, one a solver, beside those that are known by name."""
+    """A dict has PETSc options for each solver, also for solvers that are known by name."""
     own = {
         "feti": {},
         "mumps": None,
@@ -345,7 +345,7 @@ def test_assembled_system(torn_grid, components, held):
 
 @pytest.mark.parametrize("symmetric", [True, False])
 def test_mumps(torn_grid, symmetric):
-    """A symmetric matrix is found to be so, and gets the factorisation that fits, with options."""
+    """Symmetry is detected and decides between Cholesky and LU; options reach MUMPS."""
     problem = torn_grid((2, 2), (2, 2), components=2, change=None if symmetric else skew)
     b = np.random.default_rng(SEED + 1).standard_normal(len(problem.dirichlet))
     K, f = assembled_system(problem.A, problem.vector(b))
@@ -397,7 +397,7 @@ def test_measure_tells_set_up_from_solution(torn_grid):
 
 
 def test_timed_solver_is_kept(torn_grid):
-    """It belongs to the caller, and serves again with the factor that it has."""
+    """It belongs to the caller; a second solve uses the same factor."""
     problem = torn_grid((3, 2), (2, 2))
     K, f = assembled_system(problem.A, problem.vector(np.ones(len(problem.dirichlet))))
     x = f.duplicate()
@@ -414,7 +414,7 @@ def test_timed_solver_is_kept(torn_grid):
 
 
 def test_peak_counts_what_was_given_back():
-    """Over all processes, and of the second only its own."""
+    """It is summed over all processes, and begins anew with each PeakMemory."""
     if not all(COMM.allgather(math.isfinite(PeakMemory().mib_above_start(COMM)))):
         pytest.skip("/proc/self has no peak")
     everybody = range(COMM.size)
@@ -430,7 +430,7 @@ def test_peak_counts_what_was_given_back():
 
 @pytest.mark.parametrize("is_known", [False, True])
 def test_peak_where_the_mark_stays(monkeypatch, tmp_path, is_known):
-    """The peak of the whole run, if the system has it, is not that of a solver."""
+    """If the peak cannot be reset, only that of the whole run may be known."""
     if COMM.rank == 0 and is_known:
         (tmp_path / "clear_refs").mkdir()
         (tmp_path / "status").write_text("Name:\tpython3\nVmHWM:\t 2048 kB\nVmRSS:\t 1024 kB\n")

@@ -22,7 +22,7 @@ BODIES = {
 }
 
 
-#: Of the block above a bump on one process with four subdomains.
+#: Force and Newton steps of the block above a bump, on one process with four subdomains.
 FORCE = [0.002972108406783, 0.002972108406783, 0.024055257313281]
 STEPS = 9
 
@@ -30,7 +30,7 @@ STEPS = 9
 @pytest.mark.parametrize("body", BODIES)
 @pytest.mark.parametrize("held_by", ["contact", "conditions"])
 def test_pressure_is_uniform(body, held_by):
-    """A block that nothing else holds carries its load; one that is pushed answers uniformly."""
+    """On a block that only the plate supports under a load, and on one that the plate pushes."""
     dim, n, cell, degree = BODIES[body]
     load = 0.1 if held_by == "contact" else None
     touching = block(plate(dim), dim=dim, n=n, cell=cell, degree=degree, pressure=load)
@@ -87,7 +87,7 @@ def test_residual_finds_the_same_state_as_an_energy():
 
 
 def test_second_solve_changes_little():
-    """A state that is solved is met again within the tolerance of the contact."""
+    """A second solve changes the force by no more than the tolerance of the contact."""
     touching = block(bump(2), dim=2, cell=Cell.triangle, n=6)
     touching.numbers["height"].value = 0.08
     touching.problem.solve()

@@ -76,7 +76,7 @@ def follow(touching: Touching, start: float, heights, steps: Steps, **options):
 
 @pytest.mark.processes(1, 2, 3)
 def test_restart_repeats_the_path(tmp_path):
-    """With multipliers, penalty and the states that predict the next one, on any processes."""
+    """The checkpoint has multipliers, penalty and the states of the prediction."""
     folder = COMM.bcast(tmp_path)
     lengths = Steps(first=0.01, least=1e-4)
     heights = [0.02, 0.05]
@@ -102,7 +102,7 @@ def test_multipliers_of_volume_and_contact_settle_together():
 
 
 def test_contact_along_an_arc():
-    """The load is unknown; the plate carries what there is of it."""
+    """The load is an unknown; the contact pressure is equal to it."""
     touching = block(
         plate(2), dim=2, n=3, cell=Cell.triangle, pressure=0.0, along_arc=True, as_residual=True
     )
@@ -116,7 +116,7 @@ def test_contact_along_an_arc():
 
 @pytest.mark.parametrize("path", [prestress, unload])
 def test_paths_of_images_refuse_contacts(path):
-    """Any contact pressure would keep the image where it is."""
+    """Any contact pressure in the image would be consistent with it."""
     touching = block(plate(2), dim=2, cell=Cell.quadrilateral, degree=1)
     mesh = touching.u.function_space.mesh
     G = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0, (2, 2))))

@@ -154,7 +154,7 @@ def test_demos_without_a_command_line(run, monkeypatch, tmp_path, name):
 
 
 def test_linear_elasticity(run, monkeypatch, tmp_path):
-    """Its own assertion holds it against MUMPS; the beam bends as the theory of beams says."""
+    """It compares itself with MUMPS; here its tip is compared with the theory of beams."""
     monkeypatch.chdir(tmp_path)
     beam = run("demo_linear_elasticity.py")
     length = 8.0

@@ -23,7 +23,7 @@ TOLERANCE = 2e-3
 
 @pytest.fixture(scope="module")
 def names() -> dict[str, Any]:
-    """What the program leaves."""
+    """Variables of the page's program after it has run."""
     left: dict[str, Any] = {}
     exec("\n".join(programs(page=PAGE)), left)
     return left

@@ -114,7 +114,7 @@ def test_functions_of_several_forms(order):
 
 
 def test_regions_and_the_rest():
-    """A number with data is a region, an integral over several numbers belongs to each."""
+    """A number with tags is a region; an integral over several numbers belongs to each of them."""
     mesh = cube(2, 2)
     u = displacement(mesh, 1)
     cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
@@ -183,7 +183,7 @@ def tensors(forms: list[ufl.Form], mesh: dolfinx.mesh.Mesh) -> Callable[[], list
 
 
 def test_what_is_no_number_stays_none():
-    """A cell turned inside out has no energy, and neither residual nor tangent; others do."""
+    """Energy, residual and tangent of an inverted cell are NaN, those of other cells are not."""
     mesh = cube(3, 2)
     energy, F_u, _, K, *_ = artery(mesh, 1, ("DG", 0))
     V = K.arguments()[0].ufl_function_space()

@@ -59,7 +59,7 @@ def step(system: System) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("kappa", [10.0, 1e5])
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_condensed_step_of_any_element_is_the_mixed_one(element, kappa, torn_system):
-    """Several pressures in a cell, and a dilation beside them, whose energy is not quadratic."""
+    """Also with several pressures in a cell, and with a dilation whose energy is not quadratic."""
     body, alone = (block(comm, element, kappa) for comm in (COMM, MPI.COMM_SELF))
     body.deform()
     alone.deform()
@@ -114,7 +114,7 @@ def test_pressures_solve_as_the_mixed_problem(element):
 
 
 def test_potential_of_a_nonlinear_dilation(torn_system):
-    """Π(u) has the θ and p of its u: θ = J and p = Ψ′(θ) in each cell, and leaves those held."""
+    """Π(u) has θ = J and p = Ψ′(θ) in each cell; the fields themselves stay as they are."""
     body = block(COMM, "p2-p0-p0", 100.0)
     body.deform()
     before = [p.x.array.copy() for p in body.fields]
@@ -140,7 +140,7 @@ def test_units_make_no_block_singular(kappa, torn_system):
 
 
 def test_processes_without_cells():
-    """Of a single cell only one process has blocks; the others have none of the right shapes."""
+    """If a mesh has one cell, the other processes have empty arrays of the right shapes."""
     mesh = dolfinx.mesh.create_unit_cube(COMM, 1, 1, 1, cell_type=dolfinx.mesh.CellType.hexahedron)
     spaces = [dolfinx.fem.functionspace(mesh, e) for e in (("Lagrange", 2, (3,)), ("DPC", 1))]
     u, p = map(dolfinx.fem.Function, spaces)

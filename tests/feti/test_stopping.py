@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""When a linear solve has converged: residual and estimated error, whatever the load hides."""
+"""When a linear solve has converged: by residual and estimated error, even if a load is stiff."""
 
 from __future__ import annotations
 

@@ -358,7 +358,7 @@ def test_multipliers_and_displacements_are_those_of_the_dense_reference(
 @pytest.mark.parametrize("size", [1e-7, 1e-3, 0.1, 0.5])
 @pytest.mark.parametrize("enriched", [True, False], ids=["enrich", "gmres"])
 def test_prestress_is_solved_exactly(size, kind, enriched, torn_grid, create_ksp, monkeypatch):
-    """The modes leave the kernels, K_ρ turns indefinite, the assembled matrix does not notice."""
+    """Kernels and definiteness of subdomains change, the assembled matrix does not."""
     grid = {"subdomains": (2, 2), "cells": (3, 3), "components": 2}
     plain = torn_grid(**grid)
     problem = torn_grid(**grid, change=shifted(size))

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""FakeProblem problems."""
+"""A fixture that creates fake problems and destroys their solvers after the test."""
 
 from __future__ import annotations
 

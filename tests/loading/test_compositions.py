@@ -88,7 +88,7 @@ MONITOR: list[Callable[[int], object]] = [no_monitor]
 
 
 class Run:
-    """A sequence on the way."""
+    """A path of the block and of the scalar, which events interrupt."""
 
     def __init__(self, law: Law, targets: list[float], first: float, growth: float) -> None:
         self.law = law

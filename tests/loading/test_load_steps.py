@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The loads on the way: targets, increments, what follows a failure, prediction, tolerances."""
+"""Load steps: targets, increments, attempts after a failure, prediction, tolerances."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ def test_inadmissible_prediction_gives_way_to_the_tangent(create_fake_problem):
 
 @pytest.mark.parametrize("rough", [None, 1e-2, OWN / 100])
 def test_rough_on_the_way_and_exact_at_the_targets(create_fake_problem, rough):
-    """If it is asked for; a tolerance of the solver's own that is rougher still is kept."""
+    """If this is asked for; a tolerance of the solver that is looser is kept."""
     problem = create_fake_problem(fails=lambda before, load: load == 0.5 and load - before > 0.15)
     solvers = (problem.solver, problem.solver.getKSP())
     before = [solver.getTolerances() for solver in solvers]
@@ -315,7 +315,7 @@ def test_call_that_fails_on_one_process(create_fake_problem, where):
 
 
 def test_wall_up_and_down():
-    """The way does not matter: as solved at once, in steps, and on the way back."""
+    """The solution is the same when solved at once, in steps, and after unloading."""
     tight = {"snes_rtol": 1e-11}
     direct, stepped = (wall(tube(around=6, along=2), degree=1) for _ in range(2))
     direct.inflate(direct.problem(4, tight), [4.0])

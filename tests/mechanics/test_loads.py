@@ -117,7 +117,7 @@ def end(k):
 
 
 def chosen(V, ds, p=PRESSURE, bcs=None):
-    """The kind that a tangent turns out to be."""
+    """Return the kind of tangent that ``auto`` chooses."""
     u = function(V, bulge)
     v = ufl.TestFunction(V)
     du = ufl.TrialFunction(V)

@@ -86,9 +86,10 @@ def tube() -> dict[float, dict[str, float]]:
     ],
 )
 def test_bounds(tube, mmhg, inside, hoop, radial):
-    """With the normal below these errors of σ_θθ and σ_rr; ``inside`` the cells they are larger.
+    """Errors of σ_θθ and σ_rr are at most ``hoop`` and ``radial`` if recovered with the normal.
 
-    Without a normal tractions are the same, and the stress along the wall is less accurate.
+    Inside the cells they are larger than the numbers ``inside``. Recovered without a normal, the
+    stress along the wall is less accurate, and tractions are the same.
     """
     errors = tube[mmhg]
     agree(errors["stress_tt_error"] > inside[0] and errors["stress_rr_error"] > inside[1], errors)

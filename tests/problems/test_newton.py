@@ -45,10 +45,10 @@ def test_energy_of_the_users_own(degree, force):
 
 
 def test_linear_solves_are_as_accurate_as_the_step_deserves():
-    """A tenth of what Newton's method aims at is enough; an option of the user's is kept to.
+    """A tenth of Newton's tolerance is enough; a tolerance that the user gives is kept.
 
-    In the dual formulation, whose iterations tell: the columns of the primal one hold all of so
-    small a body, and each solve takes two.
+    The formulation is the dual one, whose iterations depend on the tolerance. In the primal one the
+    coarse space contains all of so small a body, and each solve takes two iterations.
     """
     found = []
     for options in ({}, {"ksp_rtol": 1e-8}, {"ksp_atol": 1e-50}):

@@ -192,7 +192,7 @@ def test_large_deformation_balances_forces_and_moments(compressible):
 
 
 def test_surface_inside_the_mesh_given_by_pairs():
-    """A membrane of springs inside: R on it is what the two ends miss."""
+    """Springs on a line inside: their reaction and that of the support balance the load."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 8, 8)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = ufl.TrialFunction(V)
@@ -213,7 +213,7 @@ def test_surface_inside_the_mesh_given_by_pairs():
 
 
 def test_surface_inside_that_branches():
-    """Springs on a cross inside, of which no side is out: both ends and they carry the load."""
+    """Springs on a cross inside, which has no outer side: the reactions balance the load."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 8, 8)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = ufl.TrialFunction(V)

@@ -80,7 +80,7 @@ def test_law_of_units(unit, stiffness):
 
 
 def test_volumes_without_a_solution():
-    """Values that are none, one out of reach, and one that no dof changes."""
+    """Volumes that are not positive, that cannot be reached, or that no free dof changes."""
     ball = balloon(2)
     cavity = balloon_cavity(ball, 40.0)
     problem = ball.problem([cavity], petsc_options={"snes_max_it": 6})

@@ -110,7 +110,7 @@ def test_thick_tube_in_plane_strain():
 
 
 def test_what_does_not_fit():
-    """No time step; a length and a flow that are none."""
+    """A solve without a time step, a step of length zero, and a flow that is NaN."""
     ball = balloon(2)
     windkessel = Windkessel(Cavity(ball.u, ball.ds(1)), resistance=R, compliance=C)
     problem = ball.problem([windkessel])

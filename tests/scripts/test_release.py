@@ -48,7 +48,7 @@ def sdist(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def wheel(sdist) -> Path:
-    """It is made of the sdist, so that this lacks nothing."""
+    """It is built from the sdist, which therefore lacks no file."""
     return build_wheel(sdist)
 
 

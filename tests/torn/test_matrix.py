@@ -79,7 +79,7 @@ def test_numbers_of_dofs_that_do_not_exist_are_refused(wrong, lifetime):
 
 
 def test_gather_brings_copies_in_the_order_of_dofs(monkeypatch, read):
-    """Without a name that mpi4py keeps to itself."""
+    """Also without ``MPI._typedict``, which is private to mpi4py."""
     monkeypatch.delattr(MPI, "_typedict", raising=False)
     problem, torn, _ = read((2, 2), (2, 2))
     gathered = whole(torn.gather(torn.first_torn_dof + np.arange(torn.n, dtype=np.float64)))
@@ -221,7 +221,7 @@ def test_skew_part_is_measured_entry_by_entry(kappa, lifetime):
 
 
 def test_columns_in_any_order(lifetime):
-    """Which PETSc does not look at where it takes arrays as they are."""
+    """PETSc does not sort the columns of arrays that it uses without a copy."""
     rows = np.array([0, 2, 4], dtype=PETSc.IntType), np.array([1, 0, 0, 1], dtype=PETSc.IntType)
     csr = (*rows, np.ones(4))
     M = lifetime.own(PETSc.Mat().createAIJWithArrays((2, 2), csr, comm=PETSc.COMM_SELF))
@@ -231,7 +231,7 @@ def test_columns_in_any_order(lifetime):
 
 
 def test_form_tells_of_symmetry(torn_grid):
-    """What is known counts; else it is looked for."""
+    """``symmetric=`` is trusted; without it symmetry is detected."""
 
     def skew(K, _dofs):
         K[-1][0, 1] += 1e-6

@@ -185,7 +185,7 @@ def test_any_number_of_layers(tmp_path, raw, names):
 
 
 def test_numbers_that_have_no_names(tmp_path, raw):
-    """They get no anatomy that the file does not have."""
+    """They are named by their numbers, not after parts of an artery."""
     layers = np.where(raw.layers == 1, 1, 7)
     surfaces = np.where(raw.surfaces == 4, 400, raw.surfaces)
     other = read_changed(tmp_path, replace(raw, layers=layers, surfaces=surfaces), {})

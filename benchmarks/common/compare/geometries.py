@@ -1,7 +1,13 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The bodies of the comparison. A new one is a function and an entry of :data:`GEOMETRIES`."""
+"""The bodies of the comparison.
+
+A new one is a function and an entry of :data:`GEOMETRIES`; mesh and problem come from
+``common/bodies.py``. It is then a choice of ``--geometry``, and has rows on the page. The figures
+show the bodies of ``tables.BODIES``, and all compressible ones. The test of compressible bodies has
+them in ``ELASTIC`` of ``tests/benchmarks/test_solvers.py``.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +32,7 @@ RTOL = 1e-8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """What a command line wants of a body."""
+    """Size and material of a body, as the command line asks for them."""
 
     dofs: int  # approximate number
     degree: int  # of the displacement
@@ -48,7 +54,7 @@ class Geometry:
     Args:
         title: Name on the page.
         create: Builds it at rest.
-        first_load: Pressure of the first Newton step [mmHg]; None for a linear, compressible body.
+        first_load: Load of the first Newton step [mmHg]; None for a linear, compressible body.
         rtol: Relative tolerance of the linear systems of a compressible body.
         family: Elements on the page: P on simplices, Q on hexahedra.
         is_wall: Whether it can be loaded along a path, in mmHg.

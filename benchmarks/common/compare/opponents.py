@@ -3,7 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The solvers of the comparison by PETSc options, and MKL's PARDISO as a preconditioner.
 
-A new solver is an entry of :data:`OPPONENTS`.
+A new solver is an entry of :data:`OPPONENTS`. It is then a choice of ``--solvers``, has rows on the
+page, and counts among the best of the others. The figures show the solvers of ``tables.CURVES`` and
+``tables.FORMULATIONS``. The test of all solvers skips those of ``ALONE`` in
+``tests/benchmarks/test_solvers.py``, which may be missing or take one process only.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ import scipy.sparse
 
 from dolfinx_feti.comparison import SOLVERS
 
-#: Kinds of matrices: symmetric positive definite, symmetric, and any other.
+#: PARDISO's kinds of matrices (``mtype``): symmetric positive definite, symmetric, any other.
 DEFINITE = 2
 SYMMETRIC = -2
 GENERAL = 11
@@ -93,7 +96,7 @@ OPPONENTS = {
     "bddc": Opponent(title="BDDC", options=SOLVERS["bddc"], is_torn=True),
 }
 
-#: Those that factor the assembled matrix.
+#: Solvers that factor the assembled matrix.
 DIRECT = tuple(name for name, opponent in OPPONENTS.items() if opponent.is_direct)
 
 

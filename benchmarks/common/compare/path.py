@@ -5,9 +5,9 @@ r"""A load path whose linear systems FETI and direct solvers solve.
 
 .. math:: A(U^k)\, ΔU = -r(U^k), \qquad U^{k+1} = U^k + α\, ΔU
 
-Newton's method goes on with FETI's ΔU; the others solve each system after FETI, and keep what they
-can: MUMPS its analysis, and the factors of a tangent that Newton's method keeps. *End to end* is
-everything from the first to the last equilibrium, with the linear solves of one solver.
+Newton's method uses FETI's ΔU. The other solvers solve each system after FETI. They analyse the
+matrix once, and keep their factors while Newton's method keeps its tangent. *End to end* is the
+time from the first to the last equilibrium, with the linear solves of one solver.
 """
 
 from __future__ import annotations
@@ -67,10 +67,16 @@ def load(
 
 
 def follow(body: Body, mmhg: float, *, direct: Sequence[str] = ()) -> list[Record]:
-    """Load a wall at rest [mmHg], and record what its systems cost FETI and others. Collective.
+    """Load a wall at rest, and measure what its linear systems cost each solver. Collective.
+
+    Args:
+        body: The wall.
+        mmhg: Pressure at the end of the path [mmHg].
+        direct: Names of the direct solvers that solve the same systems.
 
     Returns:
-        A record for each solver; ``note`` says why the path or the solver came to no end.
+        A record for each solver, FETI first; ``note`` has the reason if the path or the solver
+        failed.
     """
     comm = body.u.function_space.mesh.comm
     others = [_Direct(name) for name in direct]
@@ -110,7 +116,7 @@ def follow(body: Body, mmhg: float, *, direct: Sequence[str] = ()) -> list[Recor
 
 @dataclass(slots=True)
 class _Solves:
-    """What the solves of a path cost one solver, and how well it solved them."""
+    """Seconds, iterations and residuals of one solver on a path."""
 
     solver: str
     seconds: list[tuple[float, float]] = field(default_factory=list)  # set-up, solution

@@ -50,7 +50,8 @@ PANEL = (2.6, 2.5)
 PANEL_DPI = 200
 TICKS = (1.0, 2.0, 5.0)
 
-#: The curves: their solvers, the fastest of which counts, and how they look.
+#: The curves of the figure: their solvers, of which the fastest counts at each size, and their
+#: style. A name that is not in OPPONENTS has no records.
 CURVES: dict[str, tuple[tuple[str, ...], Style]] = {
     "FETI": (("feti",), {"color": COLOURS[0], "marker": "o", "lw": 2}),
     "direct: MUMPS, CHOLMOD or PARDISO": (
@@ -64,7 +65,8 @@ CURVES: dict[str, tuple[tuple[str, ...], Style]] = {
 }
 
 
-#: The solvers of the figure of compressible bodies, the fastest of which counts, and their marks.
+#: The marks of the figure of compressible bodies: their solvers, of which the fastest counts on
+#: each body, and their style.
 FORMULATIONS: dict[str, tuple[tuple[str, ...], Style]] = {
     "FETI": (("feti",), {"color": COLOURS[0], "marker": "o", "ls": ""}),
     "FETI, dual": (("feti-dual",), {"color": COLOURS[0], "marker": "o", "ls": "", "mfc": "none"}),
@@ -76,7 +78,10 @@ FORMULATIONS: dict[str, tuple[tuple[str, ...], Style]] = {
 
 
 def fields(records: Sequence[Record]) -> Fields:
-    """Return the values of the page; a case is the list of its records, in all layouts."""
+    """Return the values of the page.
+
+    A case is the list of the records of all solvers in all layouts, processes and threads.
+    """
     sweep = [r for r in records if r.get("per")]
     plain = [r for r in records if not r.get("per")]
     cases = sorted((mine for _, mine in groups(plain, *CASE)), key=_order)
@@ -121,17 +126,17 @@ def _order(case: Sequence[Record]) -> tuple[object, ...]:
 
 
 def _of_solver(case: Sequence[Record], *solvers: str) -> list[Record]:
-    """Return the records of some solvers, the fastest first, failures at the end."""
+    """Return the records of some solvers in a case, the fastest first, failures at the end."""
     return sorted((r for r in case if r["solver"] in solvers), key=_whole)
 
 
 def _best(case: Sequence[Record], *solvers: str) -> Record | None:
-    """Return the fastest record of some solvers that came to the solution."""
+    """Return the fastest record of some solvers in a case; None if none solved it."""
     return next((r for r in _of_solver(case, *solvers) if math.isfinite(_whole(r))), None)
 
 
 def _rows(case: Sequence[Record]) -> Iterator[dict[str, object]]:
-    """Yield a row for each record, with FETI's better layout over it."""
+    """Yield a row for each record, with the quotients of FETI's faster layout and it."""
     feti = _best(case, "feti")
     for solver in OPPONENTS:
         mine = _of_solver(case, solver)
@@ -145,7 +150,7 @@ def _rows(case: Sequence[Record]) -> Iterator[dict[str, object]]:
 
 
 def _against_the_best(case: Sequence[Record]) -> dict[str, object] | None:
-    """Return FETI's better layout and the best of all others, or None if one is not there."""
+    """Return a row with FETI's faster layout and the best other solver, or None without both."""
     feti = _best(case, "feti")
     other = _best(case, *(name for name in OPPONENTS if name != "feti"))
     if feti is None or other is None:
@@ -166,7 +171,7 @@ def seconds(record: Record) -> float:
 
 
 def _row(record: Record) -> dict[str, object]:
-    """Return a record with names, layout and means; without results if it has failed."""
+    """Return the row of a record: names, layout and means; no results if the solver failed."""
     solver = OPPONENTS[str(record["solver"])]
     geometry = GEOMETRIES[str(record["geometry"])]
     row = dict(record) | {"name": solver.title, "layout": _layout(record)}
@@ -194,7 +199,7 @@ def _row(record: Record) -> dict[str, object]:
 
 
 def _spread(record: Record) -> str:
-    """Return the seconds, and the least and the most of all rounds."""
+    """Return the seconds as text, with the least and the most of all rounds in brackets."""
     each = [sum(pair) for pair in record.get("seconds_rounds", []) if None not in pair]
     if len(each) < 2:
         return f"{_whole(record):.2f}"
@@ -202,7 +207,7 @@ def _spread(record: Record) -> str:
 
 
 def _formulations(case: Sequence[Record]) -> dict[str, object]:
-    """Return FETI's two formulations and the best of all others on a compressible body."""
+    """Return a row with FETI's two formulations and the best other solver."""
     best = {"primal": _best(case, "feti"), "dual": _best(case, "feti-dual")}
     best["other"] = _best(case, *(name for name in OPPONENTS if name not in ("feti", "feti-dual")))
     row: dict[str, object] = dict(_row(case[0]))
@@ -230,7 +235,7 @@ def _ratios(feti: Record, other: Record) -> dict[str, object]:
 
 
 def _growth(first: Sequence[Sequence[Record]]) -> Iterator[dict[str, object]]:
-    """Pair the records of iterative solvers at both κ, for one solver, size and layout."""
+    """Yield a row for each iterative solver, size and layout: the least κ and a larger one."""
     names = ("solver", *(name for name in CASE if name != "kappa"), "processes", "threads")
     found = [r for case in first for solver in OPPONENTS for r in _of_solver(case, solver)]
     solved = [r for r in found if r["converged"] and r["kappa"] in KAPPAS]
@@ -249,7 +254,7 @@ def _whole(record: Record) -> float:
 
 
 def _layout(record: Record) -> str:
-    """Name processes and threads."""
+    """Return processes and threads as text."""
     processes = record["processes"]
     threads = record["threads"]
     of_each = "" if threads == 1 else f" × {threads} threads"

@@ -47,27 +47,35 @@ from dolfinx_feti.feti.coarse.fronts import MAX_FRONT_ENTRIES
 from dolfinx_feti.feti.coarse.group import ROWS_PER_PROCESS
 from dolfinx_feti.feti.coarse.solver import INVERSE_ROWS_PER_PROCESS
 
-#: A cluster of today, stated and not measured: latency of a message [s], bandwidth of a process
-#: into the network, speed at which it reads a factor [bytes/s], processes of a node, those that
-#: read memory at that speed together (measured on 16 cores of a Xeon), rate at which a process
-#: factors by fronts (3.2e10 on a core here) [flops/s], file system of all processes [bytes/s].
-LATENCY = 2e-6
-BANDWIDTH = 2e9
-STREAM = 5e9  # α, W, V
-NODE = 16
-BUS = 12.0
-RATE = 2e10
-DISK = 5e9  # p_n, p_b, R, D
+# The cluster: plausible values of today, which are assumed and not measured.
 
-#: Rows of the inverse that take the time of a solve with the factor.
+#: α: latency of a message [s].
+LATENCY = 2e-6
+#: W: bandwidth of a process into the network [bytes/s].
+BANDWIDTH = 2e9
+#: V: speed at which a process reads a factor from memory [bytes/s].
+STREAM = 5e9
+#: p_n: processes of a node.
+NODE = 16
+#: p_b: processes of a node that can read memory at the speed V together, measured on 16 cores of a
+#: Xeon.
+BUS = 12.0
+#: R: rate at which a process factors by fronts [flops/s]; 3.2e10 were measured on a core.
+RATE = 2e10
+#: D: bandwidth of the file system for all processes together [bytes/s].
+DISK = 5e9
+
+#: Number of rows of the inverse that are computed in the time of one solve with the factor.
 BLOCKED = 6.0
 
-#: σ: standard deviation of the work of a subdomain over its mean, of the squared interface dofs of
-#: 36 to 92 subdomains of 2000 dofs: tube, vessel and block have 0.16 to 0.20, and at most 1.6.
+#: σ: standard deviation of the work of a subdomain over its mean. The work is measured by squared
+#: numbers of interface dofs. 36 to 92 subdomains of 2000 dofs of tube, vessel and block have a σ of
+#: 0.16 to 0.20, and at most 1.6 times the mean work.
 SCATTER = 0.17
 
-#: The same of the cells of 16 to 128 parts of tube and vessel, which fibres, tearing and patterns
-#: depend on: 0.01 to 0.02, where a splinter has joined a part up to 0.17, in the mean square 0.06.
+#: The same for the numbers of cells, on which the time of fibres, tearing and patterns depends. 16
+#: to 128 parts of tube and vessel have 0.01 to 0.02, and up to 0.17 if a part was joined with a
+#: small disconnected one; their mean square is 0.06.
 CELLS = 0.06
 
 #: Parts of the time.
@@ -97,9 +105,14 @@ class Model:
     sent: Record  # of the counted case on the most processes
 
     def predict(self, processes: int, refined: float = 1.0) -> dict[str, float]:
-        """Return the seconds of a load step on P processes, of all parts, and their sums.
+        """Return the seconds of a load step on P processes.
 
-        These are ``krylov``, ``coarse`` and ``total``. ρ times the dofs make a mesh ``refined``.
+        Args:
+            processes: P.
+            refined: ρ, dofs of the mesh over those of the measured one.
+
+        Returns:
+            Seconds of each of :data:`PARTS`, and the sums ``krylov``, ``coarse`` and ``total``.
         """
         base = self.base
         sent = self.sent
@@ -162,7 +175,7 @@ class Model:
 
 
 def _bus(P: int) -> float:
-    """Return γ, how much longer a process reads memory that others of its node read, too."""
+    """Return γ: by which factor the other processes of a node slow down reading from memory."""
     return max(1.0, min(P, NODE) / BUS)
 
 

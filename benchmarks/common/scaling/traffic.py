@@ -3,12 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Messages, bytes, neighbours and reductions of each process, counted below PETSc and mpi4py.
 
-PETSc's own log does not see what mpi4py sends, so both are counted where they meet: a small C
-library takes the place of MPI's functions by the profiling interface that the standard provides
-(``traffic.c``). It is compiled when it is needed, and comes into a run by ``LD_PRELOAD``; a run
-without it sends the same messages. What MUMPS sends is called from Fortran and not counted: its
-factors of the subdomains are each on one process, and so is that of the coarse problem up to 4000
-unknowns.
+PETSc's own log does not see the messages of mpi4py, so those of both are counted in MPI. A small C
+library (``traffic.c``) replaces MPI's functions through the profiling interface of the standard. It
+is compiled when it is needed, and loaded by ``LD_PRELOAD``; a run without it sends the same
+messages. Messages of MUMPS are sent from Fortran and not counted. MUMPS sends few: each subdomain
+is factored on one process, and so is the coarse matrix up to 4000 unknowns.
 """
 
 from __future__ import annotations
@@ -45,8 +44,8 @@ _NEIGHBOURS = (
     "sent({}, world_rank(to[i], c)); free(to)"
 )
 
-#: Functions, their parameters, and what counts them. N and D are int, and in those that end in _c,
-#: which MPI has since version 4, MPI_Count and MPI_Aint; R is a request.
+#: Functions, their parameters, and the statement that counts them. N and D stand for int; in the
+#: functions that end in _c, new in MPI 4, for MPI_Count and MPI_Aint. R stands for a request.
 FUNCTIONS = (
     ("Send Ssend Bsend Rsend", f"{_B}, {_TO}", "message(size_of(n, t), to, c)"),
     ("Isend Issend Ibsend Irsend", f"{_B}, {_TO}, R", "message(size_of(n, t), to, c)"),
@@ -142,7 +141,7 @@ def _functions(
 
 
 def counted(work: Callable[[], object], comm: MPI.Comm) -> Array:
-    """Do some work; return what each process has sent for it, (processes, counters). Collective."""
+    """Do some work; return the counters of each process, (processes, counters). Collective."""
     (named,) = (word for word in os.environ["LD_PRELOAD"].split(":") if "libtraffic" in word)
     library = ctypes.CDLL(named)
     values = np.zeros(len(COUNTERS))  # loaded before the program

@@ -3,11 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """One run of the scaling study on the processes that mpirun has started.
 
-`benchmarks.scaling` starts it, as ``python3 -m benchmarks.common.scaling.worker CASE FILE``, with
-the case as JSON, and reads the record from the file. A run *measures* the load step to 0.2 mmHg, or
-*counts*: the tangent at rest is set up once, and solved with a few iterations and with some more;
-the difference is what an iteration sends, whatever the machine and however many processes share a
-core.
+`benchmarks.scaling` starts it as ``python3 -m benchmarks.common.scaling.worker CASE FILE``, with
+the case as JSON, and reads the record from the file. A run either *measures* the load step to 0.2
+mmHg, or *counts*. To count, it sets up the tangent at rest once, and solves with a few iterations
+and with more of them. The difference is what an iteration sends. It depends neither on the machine
+nor on how many processes share a core.
 """
 
 from __future__ import annotations
@@ -42,22 +42,23 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_root
 from dolfinx_feti.wall import Wall, read_wall, write_wall
 
-#: Iterations of the two solves whose difference is counted, after one that makes all buffers.
+#: Iterations of a first solve, which creates all buffers, and of the two whose difference is
+#: counted.
 WARM = 2
 FEW = 5
 MORE = 25
 
-#: Load [mmHg]; under the paper's, 1 mmHg, a thin wall at rest would buckle.
+#: Load [mmHg]. The paper's load of 1 mmHg would make a thin wall buckle.
 PRESSURE = 0.2
 
-#: Newton steps at most, the paper's. With its tangent, which leaves out that of the pressure, CG
-#: solves their systems, but on a thin wall they come only some way to the solution.
+#: Most Newton steps, as in the paper. With the paper's tangent, which leaves out that of the
+#: pressure, CG solves their systems, but on a thin wall Newton's method has not converged by then.
 STEPS = 5
 
 #: Log events of the phases.
 FACTOR, COARSE, KRYLOV = EVENTS = ("FETIFactor", "FETICoarse", "FETISolve")
 
-#: Those of reading the wall, and all that come once, before the first load step.
+#: Log events of reading the wall, and all that occur once, before the first load step.
 READING = ("WallRead", "WallPartition", "WallTags")
 ONCE = (*READING, "WallFibres", "FETITear", "FETIPattern", "FETIGluing", "FETICoarseSolve")
 
@@ -65,8 +66,8 @@ ONCE = (*READING, "WallFibres", "FETITear", "FETIPattern", "FETIGluing", "FETICo
 def measure(case: Record, comm: MPI.Comm) -> Record:
     """Measure a load step; seconds are those of the slowest process. Collective.
 
-    The same load step on a tiny tube comes before it, so that all forms are compiled, and the mesh
-    is generated.
+    Before the clock starts, the mesh is generated, and the same load step of a tiny tube compiles
+    all forms. The second such step gives ``seconds_fixed``, which does not depend on the mesh.
     """
     PETSc.Log.begin()
     tiny = case | {"geometry": "tube", "size": 1.0, "subdomains": comm.size}
@@ -103,7 +104,7 @@ def measure(case: Record, comm: MPI.Comm) -> Record:
 
 
 def count(case: Record, comm: MPI.Comm) -> Record:
-    """Count what set-up and iterations send, on each process. Collective."""
+    """Count what each process sends in reading, set-up and an iteration. Collective."""
     logging.getLogger("dolfinx_feti").setLevel(logging.CRITICAL)  # it is not to converge
     PETSc.Log.begin()
     wall: list[Wall] = []
@@ -150,12 +151,12 @@ def count(case: Record, comm: MPI.Comm) -> Record:
 
 
 def _bytes_read() -> int:
-    """Return what this process has read by any call to the system."""
+    """Return the bytes that this process has read by system calls."""
     return int(re.search(r"rchar:\s+(\d+)", Path("/proc/self/io").read_text())[1])
 
 
 def _written(case: Record, comm: MPI.Comm) -> Path:
-    """Return the file of a case's wall by so many processes, which is written at first."""
+    """Return the file of a case's wall for this number of processes; write it if it is missing."""
     folder = Path(str(case["folder"]))
     name = f"{case['geometry']}_{case['size']}_{comm.size}"
     path = folder / f"{name}.xdmf"
@@ -166,7 +167,7 @@ def _written(case: Record, comm: MPI.Comm) -> Path:
 
 
 def _create(case: Record, wall: Wall) -> Body:
-    """Tear the wall of a case."""
+    """Create the problem of a case on its wall."""
     own = {"feti_type": case["type"], "feti_pc_type": case["pc"], "snes_max_it": STEPS}
     if case["choices"] == "default" and case["task"] == "count":
         own["feti_formulation"] = "primal"  # that of every Newton step after the first one
@@ -174,7 +175,11 @@ def _create(case: Record, wall: Wall) -> Body:
 
 
 def _iterate(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, iterations: int) -> None:
-    """Solve with so many iterations, no fewer."""
+    """Solve with exactly this number of iterations.
+
+    Raises:
+        RuntimeError: The solver took another number.
+    """
     ksp.setTolerances(rtol=1e-30, atol=0.0, max_it=iterations)
     ksp.solve(b, x)
     done = ksp.getPythonContext().iterations

@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The cases: bodies, their loads, what is measured, and its published value.
 
-A new case is a function of the communicator and the mesh that returns its body, and an entry of
-:data:`CASES`.
+A new case is an entry of :data:`CASES`, and a function that builds its body on a communicator at a
+refinement n. It is then a choice of ``--case`` and has rows on the page.
 
 Land et al., *Verification of cardiac mechanics software*, Proc. R. Soc. A 471 (2015) 20150641;
 Holzapfel, Gasser, Ogden, J. Elasticity 61 (2000) 1-48; Gasser, Ogden, Holzapfel, J. R. Soc.
@@ -34,7 +34,8 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.wall import facets
 from dolfinx_feti.wall.opening import Opening
 
-Energy = Callable[[Expr, Expr, Expr, Expr], Expr]  # of C, J, the share of the load and f
+#: Ψ(C, J, share of the load, f) with fibres f.
+Energy = Callable[[Expr, Expr, Expr, Expr], Expr]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +72,8 @@ class Case:
 def _subdomains(n: int) -> int:
     """Return the number of subdomains on mesh n.
 
-    The default is one for 2000 dofs, and so a direct solver on the coarse meshes; with these FETI
-    iterates on all of them.
+    With the default, one for 2000 dofs, coarse meshes would have a single subdomain, which is a
+    direct solver. With this number FETI iterates on all meshes.
     """
     return 4 * n
 
@@ -84,7 +85,7 @@ def _within(name: str, published: str, value: float, share: float) -> Quantity:
 
 
 def _steps(first: float) -> Steps:
-    """Return load steps that begin with a share of the load."""
+    """Return the settings of load steps, the first of which has this share of the load."""
     return Steps(first, least=first / 64)
 
 

@@ -8,8 +8,9 @@ The constant of a pair on the unit cube, with u = 0 on the whole boundary, is β
     min over q of  max over v of  ∫ q div v / (‖∇v‖ ‖q‖) = β,
 
 over the q without a mean. β² is the least eigenvalue of B A⁻¹ Bᵀ q = β² M q with the stiffness A
-of v, the mass M of q and the coupling B. A pair whose β falls with the cells locks or
-oscillates. Pressures that no displacement feels are counted as *spurious*. One process computes.
+of v, the mass M of q and the coupling B. A pair locks or oscillates if its β decreases as the cells
+get smaller. A pressure q ≠ 0 without a mean is *spurious* if ∫ q div v = 0 for all v; such
+pressures are counted. One process computes.
 """
 
 from __future__ import annotations
@@ -38,11 +39,11 @@ from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.meshes.arguments import count
 from dolfinx_feti.runtime.collective import on_root
 
-#: β² below which a pressure is one that no displacement feels.
+#: Eigenvalues β² below this one are zero to rounding: their pressures are spurious.
 NOTHING = 1e-10
 
-#: Pairs by name: how they are called, their cell, the degree of each component of v or the bubbles
-#: that it has in addition to P2, and the element of q.
+#: Pairs by name: name on the page, cell, degree of each component of v (or where P2 has bubbles in
+#: addition, in cells or also on faces), and the element of q.
 PAIRS = {
     "p1-p0": ("P1–P0", "tetrahedron", 1, ("DG", 0)),
     "p2-p0": ("P2–P0", "tetrahedron", 2, ("DG", 0)),
@@ -84,9 +85,13 @@ def fields(records: Sequence[Record]) -> Fields:
 
 
 def constant(pair: str, cells: int) -> Record:
-    """Compute β on a cube with so many bricks along an edge, each six tetrahedra or one hexahedron.
+    """Compute β of a pair on a cube.
 
-    The β of a pair with spurious pressures is that of the others.
+    If there are spurious pressures, β is that of the others.
+
+    Args:
+        pair: A key of :data:`PAIRS`.
+        cells: Bricks along an edge, each of six tetrahedra or one hexahedron.
     """
     _, cell, degree, pressure = PAIRS[pair]
     mesh = dolfinx.mesh.create_unit_cube(

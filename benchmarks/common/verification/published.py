@@ -3,9 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Published numbers, computed again on refined meshes.
 
-The load is followed to its end by FETI. From the state at :data:`BEFORE` of the load MUMPS goes to
-the end, too, by Newton's method in dolfinx alone: displacement and pressure in one matrix, and
-nothing of this package but the energy.
+FETI follows the load to its end. MUMPS then solves the last step again, from the state at
+:data:`BEFORE` of the load: by Newton's method of dolfinx, with displacement and pressure in one
+matrix. Only the energy comes from this package.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from benchmarks.common.verification.cases import CASES
 from dolfinx_feti.loading import LoadStep
 from dolfinx_feti.meshes.arguments import count
 
-#: Share of the load from which MUMPS continues: so near the end that it needs no load steps.
+#: Share of the load from which MUMPS continues. It is close to one, so that Newton's method
+#: converges without load steps in between.
 BEFORE = 0.995
 
 
@@ -113,7 +114,7 @@ def fields(records: Sequence[Record]) -> Fields:
 
 
 def _solve_by_mumps(body: Body) -> None:
-    """Solve from the body's state, which is replaced. Collective."""
+    """Solve by MUMPS from the state of the body, which gets the solution. Collective."""
     V = body.u.function_space
     Q = body.p.function_space
     elements = [space.ufl_element() for space in (V, Q)]

@@ -25,7 +25,7 @@ from benchmarks.common.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from dolfinx_feti.loading import LoadStep, Steps
 from dolfinx_feti.meshes.arguments import count, positive
 
-#: With multipliers: the most that the mean volume of a cell may be off, and κ of the truth [kPa].
+#: With multipliers: bound of the relative change of volume of a cell, and κ of the exact solution.
 VOLUME = 1e-6
 INCOMPRESSIBLE = float("inf")
 
@@ -36,7 +36,7 @@ ARTERIAL = 100.0
 
 CASE = ("element", "size", "c", "kappa", "augmented", "subdomains")
 
-#: Ways to solve one problem: element, its name and how it is drawn, dotted with multipliers.
+#: Elements: their name on the page and their style in the figure, which is dotted with multipliers.
 WAYS = {
     "p2-p0": ("P2–P0", {"color": COLOURS[2], "marker": "^"}),
     "p2b-p1d": ("P2⁺–P1disc", {"color": COLOURS[0], "marker": "^"}),
@@ -58,7 +58,11 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
-    """Yield the tube that the options describe."""
+    """Yield the tube that the options describe.
+
+    Raises:
+        ValueError: The pressures do not rise.
+    """
     if args.pressures != sorted(args.pressures):
         raise ValueError(f"argument --pressures: {args.pressures} do not rise")
     degree = ELEMENTS[args.element].degree
@@ -107,7 +111,7 @@ def _cost(steps: Sequence[LoadStep]) -> Record:
 
 
 def fields(records: Sequence[Record]) -> Fields:
-    """Return each way at the highest pressure, coarse and fine, and at an artery's for each κ."""
+    """Return rows of elements and sizes at the highest pressure, and of each κ at ARTERIAL."""
     top = max((r["pressure_mmhg"] for r in records), default=0.0)
     rows = []
     for record in (r for r in records if r["pressure_mmhg"] == top):

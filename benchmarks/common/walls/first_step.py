@@ -1,11 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A first load step of a wall as the paper takes it, with its choices or with the package's.
+"""The paper's first load step of a wall, with the paper's choices or with the package's.
 
-The paper's section *Arterial model on a realistic mesh geometry*. The first Newton step has the
-tangent of the wall at rest, as every load step of the package begins with the tangent of the last
-equilibrium.
+It is that of the paper's section *Arterial model on a realistic mesh geometry*. The first Newton
+step has the tangent of the wall at rest, since every load step of the package begins with the
+tangent of the last equilibrium.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CHOICES = {"paper": "the paper's choices", "default": "the package's defaults"}
 LAYERS = {1: "one layer", 2: "two layers"}
 ARTERIES = {1: "aorta", 2: "carotid artery"}
 
-#: How one subdomain meets the rim: as the decomposition has it, in so many points, not at all.
+#: How one subdomain touches the clamped rim: as in the decomposition, in POINTS points, not at all.
 CONTACTS = ("whole", "few", "none")
 POINTS = 3
 
@@ -44,8 +44,8 @@ POINTS = 3
 #: thin wall Newton's method comes only slowly to the solution.
 TANGENTS = {"paper": "none", "default": "symmetric"}
 
-#: The paper's choices, and none, which are the package's own. The absolute errors are norms of the
-#: residual of the assembled system [mN].
+#: PETSc options of the paper's choices; the package's choices are its defaults. The absolute
+#: tolerances are norms of the residual of the assembled system [mN].
 OPTIONS: dict[str, Record] = {
     "paper": {
         "feti_scaling": "multiplicity",
@@ -63,9 +63,13 @@ OPTIONS: dict[str, Record] = {
 
 
 def create(wall: Wall, case: Record, subdomains: int | Indices, options: Record) -> Body:
-    """Tear a wall at rest, with a number of subdomains or a part for each owned cell. Collective.
+    """Create the problem of a wall at rest. Collective.
 
-    Of the case it takes ``layers``, ``degree``, ``kappa`` [kPa] and ``choices``.
+    Args:
+        wall: Mesh and tags.
+        case: Has ``layers``, ``degree``, ``kappa`` [kPa] and ``choices``.
+        subdomains: Their number, or a part for each owned cell.
+        options: PETSc options without prefix, in addition to those of the choices.
     """
     angles = ANGLES if case["layers"] == 2 else dict.fromkeys(ANGLES, ANGLES["media"])
     return create_wall_problem(
@@ -81,7 +85,7 @@ def create(wall: Wall, case: Record, subdomains: int | Indices, options: Record)
 
 
 def sizes(body: Body) -> Record:
-    """Return the sizes of a wall that is set up, and what is solved in which form."""
+    """Return the sizes of the problem of a wall, and its formulation once it is set up."""
     report = body.problem.solver.getKSP().getPythonContext().report()
     names = ("multipliers", "coarse_size", "formulation")
     known = {} if report is None else {"subdomains_in_all": report.subdomains}
@@ -94,7 +98,10 @@ def load(body: Body, mmhg: float, *, in_part: bool) -> None:
     Args:
         body: The wall.
         mmhg: Pressure [mmHg].
-        in_part: Whether it is enough to take all Newton steps that the options allow.
+        in_part: Whether it is no failure if the largest number of Newton steps is not enough.
+
+    Raises:
+        ConvergenceError: Newton's method failed.
     """
     at_rest = body.problem.linearise()
     body.load.value = loads.mmhg(mmhg)
@@ -109,10 +116,18 @@ def load(body: Body, mmhg: float, *, in_part: bool) -> None:
 def partition(wall: Wall, subdomains: int, contact: str) -> Indices:
     """Return a part for each owned cell, (n_cells,). Collective.
 
-    "It may happen that the decomposition of a mesh results in subdomains that have only a few
-    points on the Dirichlet boundary": in classical FETI such a subdomain is held, though hardly,
-    and has no kernel that the coarse problem could take over. Here one on a rim loses its cells
-    there, all of them (``none``) or all but a few that touch it in three points (``few``).
+    The paper: "It may happen that the decomposition of a mesh results in subdomains that have only
+    a few points on the Dirichlet boundary". In classical FETI such a subdomain is barely supported,
+    and has no kernel for the coarse problem. Here one subdomain on a rim loses its cells at the
+    rim: all of them (``none``), or all but a few that touch it in three points (``few``).
+
+    Args:
+        wall: Mesh and tags.
+        subdomains: Their number, before cells are cut off.
+        contact: One of :data:`CONTACTS`.
+
+    Raises:
+        ValueError: No subdomain touches a rim in three points and has most of its cells elsewhere.
     """
     mesh = wall.mesh
     part = decompose(mesh, subdomains).subdomain
@@ -148,7 +163,7 @@ def partition(wall: Wall, subdomains: int, contact: str) -> Indices:
 
 
 def _near(V: dolfinx.fem.FunctionSpace, points: Indices) -> Indices:
-    """Return the first of some points and those nearest to it."""
+    """Return the first of some points and those nearest to it, POINTS in all."""
     X = V.tabulate_dof_coordinates()[points]
     order = np.argsort(np.linalg.norm(X - X[:1], axis=1), kind="stable")
     return points[order[:POINTS]]

@@ -1,12 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A quarter of the two-layer tube at a given length, and how far it is from the truth.
+"""A quarter of the two-layer tube at a given length, and its errors.
 
 Its elements are those of :data:`ELEMENTS`: P2–P0 on tetrahedra with straight edges, and on curved
-cells Q2–P1 and quadratic tetrahedra with bubbles, whose pressure is linear in each cell. It slides
-in the planes of its ends and of symmetry, so that it remains a tube, and
-:mod:`benchmarks.common.walls.oracle` knows its radius, volume and stress.
+cells Q2–P1 and quadratic tetrahedra with bubbles, whose pressure is linear in each cell. The tube
+slides in the planes of its ends and of symmetry, so that it remains a tube.
+:mod:`benchmarks.common.walls.oracle` computes its radius, volume and stress.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ GROWTH = 8.0  # of the thickness of curved cells through the media
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """A pair of elements, and the tube of curved cells that it is made for.
+    """A pair of elements, and the mesh of the tube that it is used on.
 
-    ``bricks`` are how many there are through the media, the adventitia and around a quarter at
-    :data:`STANDARD` size; None for the tube of straight tetrahedra.
+    ``bricks`` are the numbers of curved bricks through the media, through the adventitia and around
+    a quarter at :data:`STANDARD` size; None for a tube of straight tetrahedra.
     """
 
     degree: int  # that of u; with bubbles half of the quadrature's
@@ -58,8 +58,8 @@ class Element:
     tetrahedra: bool = True  # or else hexahedra
 
 
-#: Curved cells can be longer around the wall and outside, where stresses are even; with these
-#: numbers there are no more dofs.
+#: Curved cells are longer around the wall and outside, where stresses vary less. With these numbers
+#: no pair has more dofs than P2–P0.
 ELEMENTS = {
     "p2-p0": Element(2),
     "q2-p1d": Element(2, ("DPC", 1), bricks=(5, 1, 8), tetrahedra=False),
@@ -73,11 +73,11 @@ PLANES = {"opening_1": 2, "opening_2": 2, "symmetry_x": 0, "symmetry_y": 1}
 
 @dataclass(frozen=True, slots=True)
 class InflatedTube:
-    """The problem of a tube, and what is compared."""
+    """The problem of a tube, and its quadrature points, where errors are measured."""
 
     body: Body
     frame: tuple[Expr, Expr]  # e_r and e_θ in the reference
-    patches: Patches | None  # where the stress is recovered, layer by layer; not where it need not
+    patches: Patches | None  # to recover the stress of P2–P0; None for second-order elements
     points: Array  # of the quadrature in the reference cell, (points, 3)
     radii: Array  # of the quadrature points in the owned cells [mm], (cells, points)
     weights: Array  # volume of each of these points [mm³], (cells, points)
@@ -85,14 +85,15 @@ class InflatedTube:
 
     @property
     def mesh(self) -> dolfinx.mesh.Mesh:
-        """That of the tube."""
+        """Mesh of the tube."""
         return self.body.u.function_space.mesh
 
     @property
     def recovered_stress(self) -> Expr:
         """The Cauchy stress, recovered with the normal of the deformed wall [kPa].
 
-        That of second-order elements is their own, with its pressure put right.
+        Second-order elements keep their own stress, with a corrected pressure; see
+        ``balanced_stress``.
         """
         normal = ufl.inv(kinematics.deformation_gradient(self.body.u)).T * self.frame[0]
         if self.patches is None:
@@ -100,9 +101,9 @@ class InflatedTube:
         return recovered_field(self.body.stress, self.patches, normal=normal)
 
     def compare(self, truth: Tube) -> dict[str, float]:
-        """Hold radius, thickness, volume and stress against the truth. Collective.
+        """Compare radius, thickness, volume and stress with the exact solution. Collective.
 
-        Errors of stresses are those in the L2 norm over the wall, relative to that of the truth.
+        Errors of stresses are in the L2 norm over the wall, relative to that of the exact solution.
         """
         inner, outer = (self._radial(radius) for radius in (INNER_RADIUS, OUTER_RADIUS))
         comm = self.mesh.comm
@@ -145,7 +146,7 @@ class InflatedTube:
         return self.mesh.comm.allreduce(float((self.weights * values).sum()))
 
     def _radial(self, radius: float) -> Array:
-        """Return u_r at the nodes at a radius, none of them on a chord; on all processes."""
+        """Return u_r of the nodes at a radius, on all processes; nodes on chords are left out."""
         V = self.body.u.function_space
         n = V.dofmap.index_map.size_local
         x = V.tabulate_dof_coordinates()[:n]
@@ -157,7 +158,13 @@ class InflatedTube:
 
 
 def create_slice(comm: MPI.Comm, *, size: float, element: str = "p2-p0") -> Wall:
-    """Mesh a quarter of a tube as long as its elements. Collective."""
+    """Mesh a quarter of a tube, one element long. Collective.
+
+    Args:
+        comm: Communicator.
+        size: Length of the elements' edges [mm].
+        element: A key of :data:`ELEMENTS`.
+    """
     kind = ELEMENTS[element]
     if kind.bricks is not None:
         media, adventitia, around = (max(1, round(n * STANDARD / size)) for n in kind.bricks)
@@ -177,9 +184,12 @@ def create_slice(comm: MPI.Comm, *, size: float, element: str = "p2-p0") -> Wall
 
 
 def create_inflated_tube(wall: Wall, *, element: str = "p2-p0", **settings: object) -> InflatedTube:
-    """Build the tube on a wall of :func:`create_slice`; PETSc options have the prefix ``tube_``.
+    """Build the tube; PETSc options have the prefix ``tube_``.
 
-    The settings are further ones of :func:`create_wall_problem`.
+    Args:
+        wall: A wall of :func:`create_slice` with the same element.
+        element: A key of :data:`ELEMENTS`.
+        settings: Further arguments of :func:`create_wall_problem`.
     """
     mesh = wall.mesh
     kind = ELEMENTS[element]
@@ -224,7 +234,7 @@ def _polar(mesh: dolfinx.mesh.Mesh) -> tuple[Expr, Expr, Expr]:
 
 
 def _helices(wall: Wall) -> tuple[Expr, Expr]:
-    """Return both families of fibres with the direction that they have at each point."""
+    """Return both families of fibres, unit vectors that vary inside the cells."""
     _, _, around = _polar(wall.mesh)
     α = by_layer(wall, {layer: np.deg2rad(angle) for layer, angle in ANGLES.items()})
     along = ufl.as_vector([0.0, 0.0, 1.0])
@@ -232,7 +242,7 @@ def _helices(wall: Wall) -> tuple[Expr, Expr]:
 
 
 def residual_part(wall: Wall, layers: Sequence[Layer]) -> Expr:
-    """Return G of layers that open, media and adventitia, as it is at each point."""
+    """Return G of the media and the adventitia, which open when they are cut, at each point."""
     r, e_r, e_t = _polar(wall.mesh)
     values = [((part.inner + part.outer) / 2, part.opening, part.stretch) for part in layers]
     middle, angle, stretch = (
@@ -251,9 +261,9 @@ def _at_points(expression: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> Arra
 
 
 def _stresses(truth: Tube, r: Array, layer: Numbers) -> tuple[Array, Array]:
-    """Return the true σ_rr and σ_θθ at reference radii, from splines through each layer.
+    """Return the exact σ_rr and σ_θθ at reference radii, from splines through each layer.
 
-    Chords lie inside their circle: below a layer its stress is continued.
+    Chords lie inside their circle, so some radii lie below a layer; its spline is continued there.
     """
     rr = np.zeros_like(r)
     tt = np.zeros_like(r)

@@ -104,7 +104,7 @@ class Tube:
 
 
 def inflate(pressure: float, wall: Wall) -> Tube:
-    """The tube under an inner pressure [kPa], for any κ."""
+    """Return the tube under an inner pressure [kPa], for any κ."""
     start = wall.layers[0].inner
     if np.isfinite(wall.kappa):
         start = inflate(pressure, replace(wall, kappa=np.inf)).radius(start)
@@ -130,7 +130,7 @@ def inflate(pressure: float, wall: Wall) -> Tube:
 
 
 def _energy(wall: Wall, angle: float, stretches: Sequence[complex]) -> complex:
-    """W [kPa] of the elastic stretches λ_r, λ_θ, λ_z, without κ if it is infinite."""
+    """Return W [kPa] of the elastic stretches λ_r, λ_θ, λ_z, without κ if it is infinite."""
     λ_r, λ_t, λ_z = stretches
     J = λ_r * λ_t * λ_z
     cosine2 = np.cos(np.radians(angle)) ** 2
@@ -144,7 +144,7 @@ def _energy(wall: Wall, angle: float, stretches: Sequence[complex]) -> complex:
 def _stresses(
     wall: Wall, layer: Layer, R: float, stretch_r: float, stretch_t: float
 ) -> tuple[float, float]:
-    """P_rR = ∂W/∂λ_r and P_θΘ = ∂W/∂λ_θ [kPa], by a complex step: W' = Im W(λ + i h)/h."""
+    """Return ∂W/∂λ_r and ∂W/∂λ_θ [kPa] by a complex step, W' = Im W(λ + i h)/h."""
     G_r, G_t, G_z = layer.free(R)
     elastic = (stretch_r / G_r, stretch_t / G_t, wall.stretch / G_z)
     h = 1e-30
@@ -170,13 +170,13 @@ def _integrate(pressure: float, wall: Wall, r_i: float, dense: bool = False) -> 
 
 
 def _layer_at(wall: Wall, R: float) -> Layer:
-    """The layer around R; the nearest one outside the wall."""
+    """Return the layer at R; outside of the wall the nearest one."""
     interfaces = [layer.outer for layer in wall.layers[:-1]]
     return wall.layers[np.searchsorted(interfaces, R)]
 
 
 def _radial(wall: Wall, layer: Layer, R: float, stretch_t: float, P: float) -> tuple[float, float]:
-    """λ_r at which P_rR has a given value, near J = 1, and P_θΘ there."""
+    """Return the λ_r near J = 1 at which P_rR = P, and P_θΘ there."""
     isochoric = 1.0 / (stretch_t * wall.stretch)
     if not np.isfinite(wall.kappa):
         P_r, P_t = _stresses(wall, layer, R, isochoric, stretch_t)
@@ -196,7 +196,7 @@ def _radial(wall: Wall, layer: Layer, R: float, stretch_t: float, P: float) -> t
 
 
 def _root(function: Callable[[float], float], start: float) -> float:
-    """The first root around ``start`` of an increasing function: up from it, or else down."""
+    """Return a root of an increasing function, bracketed from ``start`` upwards or downwards."""
     low = start
     high = 1.05 * start
     step = 0.05 * start

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A two-layer wall with fibres and a condensed pressure, as the paper's load stepping has it."""
+"""A two-layer wall with fibres and a condensed pressure, as in the paper's load stepping."""
 
 from __future__ import annotations
 
@@ -28,16 +28,17 @@ from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame
 
 INTERFACE = INNER_RADIUS + MEDIA  # mm, between the layers of the tube
 
-#: Length of a clamped tube [mm], and its displacement dofs over the square of its elements along
-#: the axis, by degree.
+#: Length of a clamped tube [mm], and its displacement dofs over the squared number of its elements
+#: along the axis, by degree.
 LENGTH = 3.0
 DOFS_ALONG = {1: 18.0, 2: 125.0}
 
-#: Length of the elements' edges [mm] that gives the vessel so many displacement dofs, by degree.
+#: Length of the elements' edges [mm] of a vessel, and its displacement dofs at this length, by
+#: degree.
 SIZE = 2.0
 DOFS = {1: 11_000, 2: 71_430}
 
-#: |J_τ − 1| above which an element counts as one that does not keep its volume.
+#: |J_τ − 1| above which an element counts into ``share_J``.
 NOTICEABLE = 0.01
 
 

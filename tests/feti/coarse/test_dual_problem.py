@@ -18,7 +18,7 @@ every_q = pytest.mark.parametrize("q", ["identity", "diagonal", "preconditioner"
 
 
 def weight(problem, formulation, q):
-    """Q of the definition."""
+    """Return the weight Q of the projection by its definition, (m, m)."""
     B_D = dense(formulation.preconditioner.B_D.matrix)
     if q == "identity":
         return np.eye(len(B_D))

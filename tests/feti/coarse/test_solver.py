@@ -141,7 +141,7 @@ def test_options_name_another_solver_than_fronts(factored):
 @any_number
 @pytest.mark.parametrize("nodes", [1, 2, 3])
 def test_a_node_solves_with_one_factor_and_fails_with_it(nodes, factored, monkeypatch):
-    """Nodes whose processes are not consecutive; all are of the machine that runs this."""
+    """Computers of a cluster are simulated by groups of processes, which are not consecutive."""
     monkeypatch.setattr(INVERSE_ROWS, 0)
     if nodes > 1:
         split = "dolfinx_feti.feti.coarse.solver.processes_of_computer"

@@ -60,7 +60,7 @@ def jumps(to_global, dirichlet, *, all_floating):
 
 
 def normal_form(B):
-    """Rows of B without their order and sign."""
+    """Return the rows of B in lexical order, each scaled to a first entry of one."""
     first = B[np.arange(len(B)), np.argmax(B != 0.0, axis=1)]
     rows = B / first[:, None]
     return rows[np.lexsort(rows.T)]

@@ -31,7 +31,7 @@ every_pc = pytest.mark.parametrize("pc_type", PRECONDITIONERS)
 
 
 def weight_of(problem, formulation, pc_type):
-    """Y of the definition on all torn dofs."""
+    """Return Y by its definition, on all torn dofs, (n, n)."""
     K = problem.K_torn
     Z = on_torn_dofs(formulation, modes_of(formulation).stabilisation)
     fixed = whole(formulation.pattern.is_fixed)
@@ -64,7 +64,7 @@ def matrix(formulation):
 def test_preconditioner_is_the_weighted_one(
     grid, kind, pc_type, change, interior, torn_grid, create_dual
 ):
-    """M = B_D Y B_Dᵀ ⪰ 0; M G s, Gᵀ M r and Gᵀ M G of the blocks; force of a jump: no props."""
+    """M = B_D Y B_Dᵀ ⪰ 0; M G s, Gᵀ M r, Gᵀ M G; the force of a jump has no stabilisation."""
     problem = torn_grid(change=change, **grid)
     formulation = create_dual(problem.A, type=kind, pc_type=pc_type, interior=interior)
     pc = formulation.preconditioner
@@ -177,7 +177,7 @@ def test_constraint_preconditioner_is_the_inverse_it_stands_for(
 
 @every_q
 def test_preconditioner_waits_for_no_norm(q, torn_grid, create_dual, monkeypatch):
-    """The norm of the assembled residual travels with the coarse right-hand side, if it can."""
+    """The norm of the residual is summed with the coarse right-hand side, except for Q = M."""
     dual = create_dual(torn_grid(**GRIDS["elasticity"]).A, type="all_floating", coarse_q=q).system
     r = np.random.default_rng(744 + COMM.rank).standard_normal(dual.m)
     expected = dual.assembled_norm(r)
@@ -194,7 +194,7 @@ def test_preconditioner_waits_for_no_norm(q, torn_grid, create_dual, monkeypatch
     [(True, True, []), (True, False, [3, 13, 23]), (False, True, [3, 13, 23])],
 )
 def test_residual_is_measured_again(cg, exact, measured):
-    """Where an estimate promises too much, and every ten iterations then; never if CG knows it."""
+    """It is after an estimate that was too small, then every ten iterations; not if CG has it."""
     measurements = []
 
     def measure(_residual):

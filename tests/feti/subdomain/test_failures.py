@@ -111,7 +111,7 @@ def test_other_solvers_do_not_tell(torn_grid, create_dual):
 
 
 def test_interior_that_only_seems_singular(torn_grid, create_dual, monkeypatch):
-    """A badly conditioned one may grow random vectors, and have no null vector all the same."""
+    """An ill-conditioned interior may amplify random vectors without having a null vector."""
     name = "dolfinx_feti.feti.subdomain.interior.is_numerically_singular"
     monkeypatch.setattr(name, lambda *_: True)
     create_dual(torn_grid(**GRID).A, interior="eliminate")
@@ -131,7 +131,7 @@ SHORTAGES = {
 
 @pytest.fixture
 def laplacian(lifetime):
-    """Of a square with 60 × 60 points."""
+    """The five-point Laplacian on 60 × 60 points."""
     T = scipy.sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(60, 60))
     return lifetime.own(aij(scipy.sparse.csr_array(scipy.sparse.kronsum(T, T))))
 
