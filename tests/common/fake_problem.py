@@ -111,8 +111,8 @@ class FakeProblem:
         self._norms[norm] = self.linearise()
         return norm
 
-    def update_internal_variables(self, *, balanced: bool | None = None) -> None:
-        pass
+    def update_internal_variables(self, which: str = "all") -> None:
+        agree(which in ("all", "recorded", "in_forces"), which)
 
     def begin_step(self, length: float) -> None:
         agree(length != 0.0)
