@@ -60,7 +60,7 @@ def test_commands_that_are_documented_exist():
 
 @pytest.mark.parametrize("name", MADE)
 def test_page_of_the_documentation_is_that_of_its_records(name, tmp_path):
-    """So is each table: no number is there without a record, nor a record of another schema."""
+    """Each number on it has a record, and no record has another schema."""
     study = importlib.import_module(f"benchmarks.{name}").STUDY
     study.main(["--page", str(tmp_path), "--json", str(RESULTS / f"{study.page}.json")])
     made = {path.relative_to(tmp_path) for path in tmp_path.rglob(f"{study.page}*.[cm]*")}
@@ -72,7 +72,7 @@ def test_page_of_the_documentation_is_that_of_its_records(name, tmp_path):
 
 @pytest.mark.parametrize("name", MADE)
 def test_page_of_some_records(name, tmp_path):
-    """Of one kind of case alone, and of the next one: what the file lacks is left out."""
+    """If a file has one kind of case only, the page leaves out the sections of the others."""
     study = importlib.import_module(f"benchmarks.{name}").STUDY
     whole = (RESULTS / f"{study.page}.md").read_text().count("\n## ")
     records = json.loads((RESULTS / f"{study.page}.json").read_text())
@@ -118,7 +118,7 @@ def test_ratios_are_those_of_the_faster_layouts(tmp_path):
 
 
 def test_figure_shows_the_fastest_of_plain_first_steps(tmp_path):
-    """Not a path, nor another κ, nor subdomains or bounds that the user chose."""
+    """It leaves out paths, other κ, and numbers of subdomains that a command line chose."""
     plain = {"geometry": "tube", "kappa": 1000.0, "degree": 2, "dofs": 60_000, "converged": True}
     times = {"seconds_setup": 1.0, "seconds_solve": 0.0}
     records = [

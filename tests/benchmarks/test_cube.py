@@ -26,7 +26,7 @@ pytest.importorskip("matplotlib")
 
 @pytest.fixture
 def study_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[dict]]:
-    """Run some cases, time and again with one file; return all of its records."""
+    """Run some cases with one file of records; return all of its records."""
     file = COMM.bcast(str(tmp_path / "linear.json"))
 
     def run(*cases: Case) -> list[dict]:
@@ -96,7 +96,7 @@ def test_records_say_what_the_hand_torn_cube_says(kind, study_of, create_ksp):
 
 @pytest.mark.serial
 def test_stiffness_scaling_and_weight_bear_a_jump(study_of):
-    """Neither the scaling alone nor the weight Q alone does."""
+    """Neither the scaling alone nor the weight Q alone bounds κ."""
     stiff = replace(SMALL, jump=1e4, pattern="layer", level=2)
     choices = itertools.product(("multiplicity", "stiffness"), ("identity", "diagonal"))
     records = study_of(*(replace(stiff, scaling=scaling, coarse_q=q) for scaling, q in choices))

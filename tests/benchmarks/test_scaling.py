@@ -68,7 +68,7 @@ def test_small_case_is_measured_and_counted(tmp_path, capsys):
 
 
 def test_other_tasks_processes_do_not_count():
-    """Of the 64 that are counted by default none are measured."""
+    """64 processes are counted by default; if the task is to measure, they need no subdomains."""
     study = dataclasses.replace(scaling.STUDY, run=lambda _case, keep, *_: keep({}, {}))
     words = "--task measure --processes 1 --subdomains 16 --layers 2 --choices paper"
     (record,) = study.main(words.split())
@@ -122,7 +122,7 @@ def test_work_shrinks_and_what_is_sent_does_not():
 
 @pytest.mark.parametrize(("processes", "measured"), [(4, 0.92), (8, 1.02), (16, 1.44)])
 def test_work_on_a_shared_bus_slows_down_as_measured(processes, measured):
-    """Seconds but the coarse ones of the tube on a Xeon of 16 cores, over those of one process.
+    """Against seconds of the tube on a Xeon of 16 cores, without those of the coarse problem.
 
     50 000 dofs a process in 25 subdomains: 1.80 − 0.42, 1.66 − 0.39, 1.98 − 0.57, 3.59 − 1.60 s.
     """

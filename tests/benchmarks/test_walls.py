@@ -52,7 +52,7 @@ def run(study: ModuleType, tmp_path: Path, *words: str) -> list[dict]:
 
 
 def test_both_variants_with_both_choices(tmp_path):
-    """They come to one state, with the paper's tangent by CG; the page has its iterations."""
+    """Both variants come to the same state; CG solves with the paper's tangent."""
     records = run(nonlinear, tmp_path)
     agree(len(records) == 4, len(records))
     for record in records:
@@ -77,7 +77,7 @@ def test_both_variants_with_both_choices(tmp_path):
 
 @pytest.mark.serial
 def test_linear_solve_that_fails_is_recorded(tmp_path):
-    """With the reason, which the page has, too."""
+    """The record and the page have the reason."""
     with inserted("wall_", {"ksp_max_it": 2}):
         (record,) = run(nonlinear, tmp_path, "--type", "classical", "--choices", "default")
     agree("-wall_ksp_max_it" in record["failure"] and "min_J" not in record, record)
@@ -87,7 +87,7 @@ def test_linear_solve_that_fails_is_recorded(tmp_path):
 
 @pytest.mark.serial
 def test_record_has_the_cases_of_the_command(tmp_path, monkeypatch):
-    """Of the command line without options, and no others."""
+    """The records on the site are those of the command line without options."""
     monkeypatch.setattr(study, "say", lambda *_: None)
     nothing_runs = dataclasses.replace(nonlinear.STUDY, run=None)
     records = nothing_runs.main(["--json", str(shutil.copy(RECORD, tmp_path))])
@@ -155,7 +155,7 @@ def test_both_variants_and_their_figures(tmp_path):
 
 
 def test_run_goes_on_from_its_checkpoint(tmp_path, capsys):
-    """Steps are counted from rest; to begin anew needs another folder."""
+    """Steps are counted from rest; ``--again`` needs another folder."""
     words = ["--type", "classical", "--checkpoint", COMM.bcast(str(tmp_path / "kept"))]
     first = run(load_stepping, tmp_path, *words, "--pressure", "5")
     whole_way = run(load_stepping, tmp_path, *words, "--pressure", "8", "--subdomains", "3")
@@ -199,7 +199,7 @@ def test_walls_arrive(tmp_path):
 
 @pytest.mark.serial
 def test_wall_that_does_not_arrive(tmp_path, monkeypatch):
-    """Too soft for the Newton steps it may take: record and page say where it ended, and why."""
+    """A wall is too soft for the allowed Newton steps; record and page have pressure and reason."""
     soft = {"layers": ("media",), "c": (1.0,), "k1": (0.0,), "angles": (30.0,), "plaque": 1.0}
     chance = dataclasses.replace(random_walls.draw(2), **soft)
     monkeypatch.setattr(random_walls, "draw", lambda _seed: chance)

@@ -121,7 +121,7 @@ def test_without_a_direct_solver_there_is_no_difference():
 
 
 def test_options_stand_back_behind_the_users():
-    """Of the levels of a multigrid, too, which PETSc makes when it is set up."""
+    """Also options of the levels of a multigrid, which PETSc creates at set-up."""
     problem = linear(elasticity(cube(3, 6)))
     A, b = problem.linear_system()
     K, f = assembled_system(A, b)
@@ -242,7 +242,7 @@ def test_unsymmetric_matrix():
 
 @pytest.mark.parametrize("kappa", [1e2, 1e3, 1e4, 1e5])
 def test_small_skew_part_beside_a_large_bulk_modulus(kappa):
-    """Of a beam under its own pressure tangent: as κ grows, the load is less and less of ‖K‖."""
+    """The full tangent of a beam's pressure gets small relative to ‖K‖ as κ grows."""
     body = beam(tangent="full", kappa=kappa)
     body.load.value = 0.0005
     problem = body.problem(4, {"ksp_rtol": 1e-6})

@@ -97,7 +97,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def check_pictures(folder: Path, *names: str, height: int = 300, width: int = 500) -> None:
-    """Each is there, large enough to look at, and not of one colour."""
+    """Assert that each picture exists, is large enough, and has more than one colour."""
     from matplotlib.image import imread
 
     def look() -> list[tuple[float, ...]]:
@@ -110,7 +110,7 @@ def check_pictures(folder: Path, *names: str, height: int = 300, width: int = 50
 
 @pytest.mark.serial
 def test_every_demo_has_its_test():
-    """Whoever adds one adds a test here."""
+    """A new demo needs an entry here."""
     there = {path.name for path in DEMOS.glob("demo_*.py")}
     agree(there == {*DEMO_PICTURES, "demo_case.py"})
 
@@ -118,7 +118,7 @@ def test_every_demo_has_its_test():
 @pytest.mark.serial
 @pytest.mark.parametrize("name", sorted([*DEMO_PICTURES, "demo_case.py"]))
 def test_demos_need_the_installed_package_alone(name):
-    """They import nothing of a checkout, and know no file in it; notebooks have no ``__file__``."""
+    """They neither import from a checkout nor use its files; notebooks have no ``__file__``."""
     source = (DEMOS / name).read_text(encoding="utf-8")
     beside = {"benchmarks", "demos", "meshes", "scripts", "tests"}
     beside |= {path.stem for path in DEMOS.iterdir()}
@@ -140,7 +140,7 @@ def test_demos_need_the_installed_package_alone(name):
 @pytest.mark.processes(2)
 @pytest.mark.parametrize("name", sorted(DEMO_PICTURES.keys() - LONG))
 def test_demos_without_a_command_line(run, monkeypatch, tmp_path, name):
-    """Each ends in its own assertions; the first process has drawn its picture.
+    """Each has assertions of its own; the first process draws its picture.
 
     On one process ``make docs`` runs them.
     """
@@ -169,7 +169,7 @@ def test_linear_elasticity(run, monkeypatch, tmp_path):
 
 
 def check_tube(folder: Path) -> None:
-    """Its summary has the numbers that are the same on any number of processes."""
+    """Assert that its summary has the numbers of any number of processes, and its files exist."""
     summary = read_summary(folder)
     agree(summary["load_steps"][-1] == 2.0 and summary["subdomains"] >= 4, summary)
     agree(summary["newton_iterations"] >= len(summary["load_steps"]) >= 2, summary)
@@ -193,7 +193,7 @@ def test_case(run, tmp_path):
 
 @pytest.mark.serial
 def test_case_from_the_command_line(tmp_path):
-    """On one process, with the numbers of any other number."""
+    """It gives the same numbers as on several processes."""
     words = [DEMOS / "demo_case.py", *TUBE, "--output", tmp_path, "-log_view"]
     how = {"cwd": ROOT, "stderr": subprocess.STDOUT, "timeout": 300.0, "text": True}
     said = subprocess.check_output([sys.executable, *words], **how)
@@ -334,7 +334,7 @@ def test_what_the_case_refuses(run, tmp_path, capsys, arguments, options, match)
 
 
 def test_output_folder_is_tried_before_the_mesh(run, tmp_path, capsys):
-    """A folder cannot be made below a file; that the mesh is missing, too, comes later."""
+    """A folder cannot be created below a file; the missing mesh would be found later."""
     on_first(lambda: (tmp_path / "file").write_text("mine"))
     match = "output folder .*file/run cannot be written"
     refused(run, capsys, match, "--mesh", "nowhere.msh", "--output", tmp_path / "file/run")
@@ -355,6 +355,6 @@ def test_mesh_with_a_missing_tag(run, tmp_path, capsys):
 
 
 def test_case_of_an_image(run, tmp_path, capsys):
-    """Another demo has a wall from an image."""
+    """The message names the demo for such a case."""
     words = "--wall", write_case(tmp_path, 80.0), "--output", tmp_path
     refused(run, capsys, r"leave out \[image\].*demo_patient.py", *words)

@@ -121,7 +121,7 @@ def test_other_degrees(degree, inverted):
 
 
 def test_swelling_is_no_distortion():
-    """A body that triples its volume, or shrinks, evenly, is sound; and so is grown tissue."""
+    """A body whose volume triples or shrinks evenly is sound, and so is grown tissue."""
     strip = Strip()
     for factor in (3.0, 0.3):
         strip.u.interpolate(lambda x, factor=factor: np.stack([(factor - 1) * x[0], 0 * x[1]]))
@@ -174,7 +174,7 @@ def test_gradient_at_points_of_a_quadrature():
 
 
 def test_form_without_a_deformation():
-    """Of a diffusion nothing is watched, and nothing said."""
+    """In a diffusion problem no cell is watched and no warning logged."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 3, 3)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = dolfinx.fem.Function(V)

@@ -23,7 +23,7 @@ from dolfinx_feti.loading import Motion, Steps, TimeSteps, follow_load, follow_t
 
 
 def test_warnings_come_once(caplog):
-    """Of a strip that is compressed more and more: once distorted, once inside out."""
+    """A strip is compressed more and more: one warning of distorted cells, one of inverted ones."""
     strip = Strip()
     for strain, expected in ((SOUND, 0), (DISTORTED, 1), (DISTORTED, 1), (INVERTED, 2)):
         strip.solve(strain)
@@ -36,7 +36,7 @@ def test_warnings_come_once(caplog):
 
 
 def test_inverted_at_once(caplog):
-    """There is no second warning of what is less."""
+    """After inverted cells there is no warning of distorted ones."""
     strip = Strip()
     for strain in (INVERTED, DISTORTED, INVERTED):
         strip.solve(strain)
@@ -117,7 +117,7 @@ def lower(x):
 
 @pytest.mark.parametrize(("held", "clamped"), [(None, 0), (left, 2 * ROWS), (lower, 2)])
 def test_diagnosis(held, clamped):
-    """The row and the advice: at a clamp another one than away from it."""
+    """The report has a row for the cells; its advice is another one at a clamp."""
     strip = Strip(held=held)
     strip.place(strip.aim, INVERTED)
     strip.place(strip.u, INVERTED)
@@ -134,7 +134,7 @@ def test_diagnosis(held, clamped):
 
 
 def test_advice_on_a_constant_pressure():
-    """Of P2–P0, second order is the remedy; of a sound state there is none."""
+    """For P2–P0 it recommends elements of second order; a sound state gets no advice."""
     strip = Strip(pressure=True)
     strip.place(strip.u, INVERTED)
     texts = [advice.text for advice in strip.problem.diagnose().advice]
@@ -146,7 +146,7 @@ def test_advice_on_a_constant_pressure():
 
 
 def test_ratio_that_a_user_names(caplog):
-    """The size of what is no determinant means nothing; its sign does, by its own name."""
+    """If it is no determinant, only its sign is watched; messages have its name."""
     strip = Strip()
     named = 0.01 - strip.u[0]
     V = strip.u.function_space

@@ -93,7 +93,7 @@ def test_beat_is_that_of_a_ring_in_closed_form(names):
 
 
 def test_volume_of_the_loop_stays_the_same(names):
-    """In heart, arteries and veins together, to rounding."""
+    """It is that of heart, arteries and veins together; it is the same to rounding."""
     _, volume, _, p_a, p_v = np.array(names["beat"]).T
     total = volume + names["C_ARTERIES"] * p_a + names["C_VEINS"] * p_v
     start = names["rest"] + names["C_ARTERIES"] * 9.0 + names["C_VEINS"] * 1.0

@@ -89,7 +89,7 @@ def test_pages_that_the_code_names_exist():
 
 
 def test_pages_of_the_site_have_titles_of_their_own():
-    """Of the texts, and of the demos, whose heading is a comment."""
+    """This holds for texts, and for demos, whose heading is a comment."""
     written = {ROOT / "docs/changelog.md", *(ROOT / "docs/demos").glob("*.md")}  # not by hand
     pages = {*(ROOT / "docs").rglob("*.md"), *(ROOT / "demos").glob("demo_*.py")} - written
     mark = {".md": "# ", ".py": "# # "}

@@ -35,7 +35,7 @@ def rows(page: str) -> Iterator[dict[str, str]]:
 
 
 def documented(page: str) -> set[str]:
-    """Names in the columns headed "code"."""
+    """Return the names in the columns headed "code"."""
     cells = [row["code"] for row in rows(page) if "code" in row]
     return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
 
@@ -53,7 +53,7 @@ def names(path: Path, *kinds: type) -> Iterator[str]:
 
 
 def is_letter(name: str) -> bool:
-    """Whether a name is a capital, or a Greek letter of either case."""
+    """Return True if a name is a capital, or a Greek letter of either case."""
     return len(name) == 1 and (name.isupper() or not name.isascii())
 
 
@@ -81,7 +81,7 @@ def test_every_letter_of_the_code_is_documented(room):
 
 
 def test_tables_are_read():
-    """A row that is cut in other columns than its head would go unread."""
+    """A row with another number of columns than its head is an error."""
     page = "| symbol | code |\n|---|---|\n| $K$ | `K`, `Torn.K` |\n\n| code |\n|---|\n| `a` |\n"
     assert next(rows(page)) == {"symbol": "$K$", "code": "`K`, `Torn.K`"}
     assert documented(page) == {"K", "Torn.K", "a"}
@@ -138,7 +138,7 @@ def test_page_has_every_equation_table_and_figure():
     ],
 )
 def test_numbers_in_a_file(tmp_path, text, expected):
-    """And wrong ones, or with the label of another."""
+    """Wrong numbers are errors, and so are numbers with the label of another equation."""
     (tmp_path / "a.py").write_text(f'"""{text}"""')
     if isinstance(expected, set):
         assert rooms.equations_in(tmp_path / "a.py") == expected

@@ -52,7 +52,7 @@ def require_feti(ksp: PETSc.KSP) -> None:
 
 @pytest.fixture(scope="module")
 def first() -> dict[str, Any]:
-    """What the first program of docs/own_solvers.md leaves."""
+    """Variables of the first program of docs/own_solvers.md after it has run."""
     names: dict[str, Any] = {}
     exec(*programs("KSP", SOLVERS), names)
     return names
@@ -60,7 +60,7 @@ def first() -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def minimised(first) -> dict[str, Any]:
-    """What the program for SNES leaves."""
+    """Variables of the program for SNES after it has run."""
     names = dict(first)
     exec(*programs("SNES", SOLVERS), names)
     return names
@@ -156,7 +156,7 @@ def test_adjoint_of_a_symmetric_matrix(first):
 
 
 def test_own_snes(minimised):
-    """Beside the problem's own Newton method."""
+    """Its solution is that of the problem's own Newton method."""
     snes = minimised["snes"]
     problem = minimised["nonlinear"]
     agree(snes.getConvergedReason() > 0, snes.getConvergedReason())
@@ -204,7 +204,7 @@ def test_own_slepc(first):
 
 @pytest.fixture(scope="module")
 def split() -> dict[str, Any]:
-    """What the program with a field split leaves; ``iterations`` are those of FETI in each step."""
+    """Variables of the program with a field split; ``iterations`` are FETI's in each step."""
     (code,) = programs("A continuous pressure by a field split", OPERATORS)
     names: dict[str, Any] = {"iterations": []}
 

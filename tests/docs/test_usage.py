@@ -31,7 +31,7 @@ RECIPES = "docs/mechanics_recipes.md"
 
 
 def test_first_program_of_the_readme(tmp_path, monkeypatch, capfd):
-    """Beside a direct solution; it prints what README says, and leaves its picture."""
+    """It agrees with a direct solution, prints what README shows, and writes its picture."""
     monkeypatch.chdir(tmp_path)
     (source,) = programs(page="README.md")
     agree(len(source.strip().splitlines()) <= 35 and len(README.split()) <= 900)
@@ -90,7 +90,7 @@ def test_reactions_and_points():
 
 
 def test_condensed_linear_problem():
-    """The pressure is κ div u, projected."""
+    """The pressure is the projection of κ div u."""
     (code,) = programs("Linear elasticity", "docs/elements.md")
     mesh = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2)
     element = basix.ufl.blocked_element(quadratic_with_bubbles("tetrahedron"), shape=(3,))
@@ -113,7 +113,7 @@ def test_condensed_linear_problem():
 
 @pytest.fixture(scope="module")
 def names() -> dict[str, Any]:
-    """What the first program leaves."""
+    """Variables of the first program after it has run."""
     found: dict[str, Any] = {}
     exec(*programs("Active tension", RECIPES), found)
     return found
@@ -142,7 +142,7 @@ def test_active_tension(names):
 
 
 def test_internal_variables(names):
-    """Up and down through the same load; the third solve fails, and has remembered nothing."""
+    """The load rises and falls; a solve that fails does not change the internal variables."""
     scope = dict(names)
     (code,) = programs("Internal variables", RECIPES)
     code = code.replace("unloading=True", "unloading=True, on_step=keep")

@@ -42,7 +42,7 @@ def split_cells(forms: list[ufl.Form], mesh: dolfinx.mesh.Mesh) -> CellKernels:
 
 
 def curved(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.Mesh:
-    """Move the vertices, so that hexahedra are none with plane faces."""
+    """Move the vertices, so that faces of hexahedra are not plane."""
     x = mesh.geometry.x
     x[:, 0] += 0.1 * x[:, 1] ** 2 - 0.05 * x[:, 0] * x[:, 2]
     return mesh
@@ -146,7 +146,7 @@ def at_points(mesh: dolfinx.mesh.Mesh, shape: tuple[int, ...]) -> dolfinx.fem.Fu
     "what", ["second derivative", "size of cells", "Bessel", "edge element", "quadrature element"]
 )
 def test_what_only_ffcx_compiles(what):
-    """It goes to dolfinx, with the same values cell by cell."""
+    """FFCx compiles it; the values in each cell are dolfinx's."""
     mesh = cube(2, 3)
     u = displacement(mesh, 2)
     f = {
@@ -252,7 +252,7 @@ def test_private_parts_of_ffcx_that_have_moved(way, monkeypatch, caplog):
 
 
 def test_a_form_that_fails_alone_is_no_reason_to_warn(monkeypatch, caplog):
-    """FFCx is as it was if it compiles another form."""
+    """If another form can still be generated, FFCx has not changed."""
     mesh = cube(2, 2)
     u = displacement(mesh, 1)
     generate = generator.import_and_generate

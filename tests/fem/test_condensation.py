@@ -196,7 +196,7 @@ def test_singular_block_is_refused(torn_system):
 
 
 def test_pressure_that_is_no_number(torn_system):
-    """It makes a residual that is none, which Newton's method reports, and no singular block."""
+    """The residual is then NaN, which Newton's method reports; no block is called singular."""
     body = block(COMM, "q2-p1d-p1d", 10.0)
     body.fields[0].x.array[:] = np.nan
     agree(np.isnan(torn_system(body).residual().condensed).any())

@@ -85,7 +85,7 @@ def test_parts_are_balanced_connected_and_of_the_number_asked_for(mesh, subdomai
 @pytest.mark.parametrize("processes", [2, 16, 512])
 @pytest.mark.parametrize("each", [1, 2, 7])
 def test_shares_are_in_proportion_to_cells(processes, each):
-    """Of about as many cells, processes have as many subdomains: otherwise the others wait."""
+    """Processes with similar numbers of cells have equally many subdomains, so that none waits."""
     cells = 1000 + np.random.default_rng(SEED).integers(-60, 60, processes)
     agree(np.all(decomposition._shares(each * processes, cells) == each))
     agree(decomposition._shares(8, np.array([300, 100, 0])).tolist() == [6, 2, 0])
@@ -95,7 +95,7 @@ def test_shares_are_in_proportion_to_cells(processes, each):
 @every_mesh
 @pytest.mark.parametrize("dtype", [np.int8, np.int32, np.int64, np.uint16])
 def test_parts_may_be_prescribed(mesh, dtype):
-    """Any numbers from zero; parts fall into what is connected by more than a vertex."""
+    """Numbers may be any from zero; a part that facets do not connect is several subdomains."""
     mesh = cube(*mesh)
     n = cells(mesh)
     part = (np.random.default_rng(SEED + COMM.rank).integers(0, 3, n) * 20 + 7).astype(dtype)
@@ -159,7 +159,7 @@ def path_graph(*lengths):
     ],
 )
 def test_splinters_join_their_neighbours(part, expected):
-    """They stay where they have none, as of two paths in one part."""
+    """A splinter without a neighbour stays, as in a part that is two paths."""
     graph = path_graph(len(part))
     joined = decomposition._join_splinters(graph, np.array(part, dtype=np.int32))
     if expected is not None:
@@ -185,7 +185,7 @@ def test_number_of_subdomains_is_as_asked(subdomains):
 
 @pytest.mark.parametrize("components", [1, 3])
 def test_suggested_number(monkeypatch, components):
-    """About so many dofs each, as many on each process, one at least, and no more than cells."""
+    """It gives subdomains of similar size, equally many on each process, at most one per cell."""
     mesh = cube(3, 4)
     shape = () if components == 1 else (components,)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, shape))
@@ -219,7 +219,7 @@ def test_two_runs_and_two_problems_of_one_run(tmp_path, processes):
 
 
 def test_seed_of_a_problem():
-    """It takes other subdomains to the same solution; both classes hand it on."""
+    """Another seed gives other subdomains and the same solution; both problem classes take it."""
     body = block(yeoh, (0.3, 0.1))
     problem = poisson(cube(3, 6))
     nonlinear = NonlinearProblem(body.energy, body.u, body.bcs, subdomains=5, seed=2)
@@ -238,7 +238,7 @@ def test_seed_of_a_problem():
 
 @pytest.mark.serial
 def test_environment_has_the_last_word(monkeypatch):
-    """What the user has set stays; what was not set is not set afterwards."""
+    """Variables that the user has set stay; all others are unset afterwards."""
     one, other = VARIABLES
     monkeypatch.setenv(one, "4")
     monkeypatch.delenv(other, raising=False)

@@ -137,7 +137,7 @@ def test_without_a_named_side_the_cells_inside_or_below_count(name, ghosts):
 @pytest.mark.processes(1, 2, 3)
 @over_ghosts
 def test_a_patch_has_one_normal(ghosts):
-    """A surface that does not divide the mesh."""
+    """The patch is a surface that does not divide the mesh."""
     mesh, facets, _ = SHAPES["patch"].parts(ghosts)
     ds = ufl.Measure("ds", mesh, subdomain_data=[(1, one_side(mesh, facets))])
     n = ufl.FacetNormal(mesh)

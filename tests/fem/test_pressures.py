@@ -68,7 +68,7 @@ ELEMENTS = [
 
 @pytest.mark.parametrize("kind", PRESSURES)
 def test_forgotten_pressure(kind):
-    """By all ways to write it; with condense= the same problem is made."""
+    """It is found however the form is written; with ``condense=`` the same form is accepted."""
     body = Body()
     p = body.field()
     energy = (body.shear + PRESSURES[kind](body, p)) * ufl.dx
@@ -110,7 +110,7 @@ def test_forgotten_fields_of_a_three_field_energy():
 
 
 def test_warnings_instead(caplog):
-    """A pressure that has a value may be data; a continuous one cannot be condensed."""
+    """There is a warning for a pressure with values, and for one that cannot be condensed."""
     body = Body()
     p = body.field(value=0.3)
     body.problem((body.shear + PRESSURES["package"](body, p)) * ufl.dx)
@@ -162,7 +162,7 @@ DATA = {
 @pytest.mark.parametrize("value", [0.0, 0.4])
 @pytest.mark.parametrize("kind", DATA)
 def test_data_are_left_alone(kind, value, element, caplog):
-    """Zero everywhere or not, discontinuous or not: no error, and no word."""
+    """Data, zero or not, discontinuous or not, cause neither an error nor a warning."""
     body = Body()
     f = body.field(element, "data", value)
     energy = DATA[kind](body, f) * ufl.dx
@@ -172,7 +172,7 @@ def test_data_are_left_alone(kind, value, element, caplog):
 
 
 def test_fields_that_a_solve_changes(caplog):
-    """Internal variables, and what before_assembly sets: no word."""
+    """Internal variables, and functions that before_assembly sets, cause no warning."""
     body = Body()
     p = body.field()
     energy = (body.shear + PRESSURES["package"](body, p)) * ufl.dx

@@ -70,7 +70,7 @@ def test_energy_falls_as_its_residual_says(cell):
 
 
 def test_degrees_that_are_stated_stay():
-    """Those of an energy do, and those of a residual count for the energy beside it."""
+    """Degrees of an energy stay; those of a residual are also those of the energy given with it."""
     u = unknown()
     v = ufl.TestFunction(u.function_space)
     stated = density(u) * ufl.dx(metadata={"quadrature_degree": 3})

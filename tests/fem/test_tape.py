@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Integrands as data: what is one value, and what another material costs."""
+"""Integrands as data: which values are equal, and what another material costs."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def test_all_options(kind, degree, pc_type, create_ksp):
 
 
 def with_form(problem, create_primal):
-    """Add a form of u and v to the matrix of a problem."""
+    """Return the problem with a form of u and v added to its bilinear form."""
     u = ufl.TrialFunction(problem.V)
     v = ufl.TestFunction(problem.V)
     return replace(problem, a=problem.a + create_primal(u, v))
@@ -109,7 +109,7 @@ def test_problems(create, kind, solve_linear):
 
 
 def serendipity(mesh):
-    """Moments on the edges in place of values at points."""
+    """Return an element whose dofs on edges are moments, not values at points."""
     return basix.ufl.element("Serendipity", mesh.basix_cell(), 3)
 
 
@@ -151,7 +151,7 @@ def test_elements_other_than_lagrange(create, mesh, element, stretched, formulat
 @every_formulation
 @pytest.mark.parametrize("dim", [2, 3])
 def test_what_moves_with_moments_as_dofs(dim, formulation, solve_linear):
-    """The message counts the motions, of which some dofs have no value at a point."""
+    """The message has the number of motions, although some dofs are not values at points."""
     mesh = cube(dim, 2, Cell.quadrilateral if dim == 2 else Cell.hexahedron)
     free = elasticity(mesh, element=serendipity(mesh), clamped=None)
     rolls = replace(free, bcs=[dirichlet(free.V, left, component=0)])
@@ -214,7 +214,7 @@ def test_process_alone_solves_its_own_problem():
 
 
 def test_same_solution_at_the_default_tolerance(solve_linear):
-    """The assembled residual is the judge: all choices end within the same error."""
+    """All choices end by the assembled residual, and so have similar errors."""
     problem = elasticity(cube(2, 8), stretched=True)
     expected = whole(problem.solve_directly())
     for options in (
@@ -250,7 +250,7 @@ def ragged(problem, rng):
 
 
 def singles(problem, rng):
-    """Every cell its own."""
+    """Return parts of one cell each."""
     return np.arange(problem.cells)
 
 
@@ -303,7 +303,7 @@ def test_other_parts_and_options(kind, parts, mesh, degree, pc_type, q, solve_li
 @every_type
 @pytest.mark.parametrize("seed", [83, 1291, 40099])
 def test_random_dirichlet_conditions(mesh, kind, seed, solve_linear):
-    """Single components of single nodes with random values, on top of one that holds the body."""
+    """Random components of random nodes are prescribed, in addition to a clamped side."""
     problem = elasticity(cube(*mesh))
     bcs = list(problem.bcs)
     for j in range(problem.V.mesh.geometry.dim):

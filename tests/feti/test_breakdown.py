@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Failures are said: a negative converged reason and a remedy, never a silent wrong answer.
+"""Failures have a negative converged reason and a remedy; no wrong answer is silent.
 
 Advice is never what is in force.
 """
@@ -94,7 +94,7 @@ def test_nan_in_the_load(value, on_boundary, options, torn_grid, create_ksp):
 
 @cg_and_gmres
 def test_maximum_of_iterations(options, torn_grid, create_ksp, caplog):
-    """It is logged once."""
+    """The message is logged once."""
     problem = torn_grid(**GRID)
     ksp = create_ksp(problem.A, ksp_max_it=3, **options)
     with caplog.at_level(logging.WARNING, "dolfinx_feti"):
@@ -152,7 +152,7 @@ def test_residual_above_rounding_is_not_converged(rtol, torn_grid, create_ksp, m
 
 
 def test_rounding_that_leaves_a_doubt_is_a_failure(torn_grid, create_ksp, monkeypatch):
-    """Here of every solution that rounding touches."""
+    """The limit is lowered, so that rounding makes every solution doubtful."""
     monkeypatch.setattr("dolfinx_feti.feti.converged_reason.MAX_ROUNDING_SHARE", 1e-20)
     problem = torn_grid(**GRID)
     ksp = create_ksp(problem.A, ksp_rtol=1e-20)
@@ -178,7 +178,7 @@ INDEFINITE = {
 def test_negative_curvature(
     change, options, remedy, kind, torn_grid, create_ksp, stops_at_negative_curvature
 ):
-    """An indefinite assembled matrix, and CG asked for; left alone, GMRES solves it.
+    """CG fails on an indefinite matrix if the user asks for CG; by default GMRES solves.
 
     The remedy has an effect on the form in force.
     """
@@ -206,7 +206,7 @@ def test_negative_curvature(
     ],
 )
 def test_indefinite_matrix_is_refused(kind, interior, grid, share, least, torn_grid, create_ksp):
-    """Before the first iteration, and not where subdomains buckle alone.
+    """It is refused before the first iteration, but not if only subdomains buckle.
 
     Without an interface all is interior, and FETI a direct solver that counts.
     """
@@ -230,7 +230,7 @@ def test_indefinite_matrix_is_refused(kind, interior, grid, share, least, torn_g
 @every_interior
 @pytest.mark.parametrize("share", [0.0, 0.002, 0.004, 0.01, 0.05, 0.2])
 def test_what_is_proved_is_there(kind, interior, share, torn_grid, create_dual):
-    """Never more negative eigenvalues than A has, and some wherever it has many."""
+    """The proved number is at most that of A's negative eigenvalues; it is positive for many."""
     problem = torn_grid(change=softened(share), **WIDE)
     there = problem.negative
     for pc_type in ("dirichlet", "lumped", "identity"):
@@ -277,7 +277,7 @@ def recommended(message):
 @pytest.mark.parametrize("floor", [np.nan, 1e-2])
 @pytest.mark.parametrize("reason", REASONS, ids=REASONS.values())
 def test_no_remedy_is_in_force(reason, floor, method):
-    """For each reason, with each choice of words and both forms."""
+    """No message recommends an option that is set already."""
     texts = set()
     for values in itertools.product(*CHOICES.values()):
         options = FETIOptions(**dict(zip(CHOICES, values, strict=True)))

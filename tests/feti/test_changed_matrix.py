@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A torn matrix is its owner's: what is changed in it, the next solve sees."""
+"""A torn matrix may be changed by its owner; the next solve uses the changed one."""
 
 import ctypes
 
@@ -90,7 +90,7 @@ def numbering(problem):
 
 
 def local_values(problem):
-    """Through the torn matrix, in the local numbering."""
+    """Set values through the torn matrix, in the local numbering."""
     if local(problem).getSize()[0]:
         problem.A.setValueLocal(1, 1, 2.5, addv=PETSc.InsertMode.ADD)
     problem.A.assemble()
@@ -103,7 +103,7 @@ def owned(problem, dofs):
 
 
 def other_dirichlet(problem):
-    """The opposite side is held."""
+    """Prescribe the opposite side."""
     dofs = np.flatnonzero(problem.x[:, 0] == problem.x[:, 0].max())
     problem.A.compose("dirichlet", PETSc.IS().createGeneral(owned(problem, dofs), comm=COMM))
 
@@ -193,7 +193,7 @@ def holds_two_copies(problem):
 
 
 def solved(ksp, problem, b):
-    """The solution is that of the matrix as it is now, or the solver says why there is none."""
+    """Assert that the solution is that of the present matrix, or that an error has the reason."""
     reason, x = solve(ksp, problem, b)
     if holds_two_copies(problem):
         message = ksp.getPythonContext().message
@@ -275,7 +275,7 @@ def test_unblocked_local_matrix(torn_grid, create_ksp):
 
 
 def test_another_matrix(problem, torn_grid, create_ksp):
-    """As many dofs in other subdomains."""
+    """Another matrix has the same dofs in other subdomains."""
     ksp = create_ksp(problem.A, ksp_rtol=RTOL)
     solved(ksp, problem, random_values(problem))
     other = torn_grid((2, 1), (6, 2))

@@ -177,7 +177,7 @@ def test_log_events(formulation, expected, torn_grid, create_ksp):
 
 
 def test_no_load_needs_no_iteration(torn_grid, create_ksp):
-    """Nor is there a load where a rigid motion of the whole boundary is the solution."""
+    """This also holds if the whole boundary is moved as a rigid body."""
     problem = torn_grid((2, 2), (2, 2), components=2)
     ksp = create_ksp(problem.A)
     context = solved(ksp, problem, 0.0, values=np.zeros(len(problem.dirichlet)))
@@ -280,7 +280,7 @@ def test_assembled_matrices_are_refused(torn_grid, lifetime):
 
 
 def test_symmetry_is_looked_at_after_a_failed_set_up(torn_grid, create_ksp, lifetime):
-    """NaN, and then a matrix that is not symmetric any more."""
+    """The first set-up fails for NaN; the next matrix is not symmetric."""
     problem = torn_grid((2, 2), (3, 3))
     ksp = create_ksp(problem.A, ksp_rtol=1e-10)
     values = random_values(problem)

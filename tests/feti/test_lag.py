@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A preconditioner that serves later matrices: the same solutions, and an end to its life."""
+"""A preconditioner that is kept for later matrices: solutions are the same, and it is renewed."""
 
 import logging
 import weakref
@@ -81,7 +81,7 @@ def test_serves_later_matrices(kind, interior, primal):
 
 @pytest.mark.parametrize("lag", [0, 6])
 def test_nothing_is_left_of_an_operator(lag, primal, monkeypatch):
-    """When that of the next matrix is set up: both would not fit into the memory."""
+    """It is freed before that of the next matrix is set up, since memory may not hold both."""
     problem, ksp = primal(feti_interior="eliminate", feti_lag=lag)
     left = []
     last = []

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Who creates destroys: no reference cycle, no object left, no memory that grows; so after faults.
+"""Objects are destroyed: no reference cycles, no growing memory, also after faults.
 
 The list of functions that fail is generated: all of ``feti/subdomain``, and in other rooms those
 that call LAPACK, BLAS or compiled code, if a solve calls them and they neither are collective nor
@@ -174,7 +174,7 @@ def test_nothing_waits_for_the_collector(options, null_space, torn_grid, create_
 
 @pytest.mark.parametrize("what", ["create", "solve", "refresh"])
 def test_memory_does_not_grow(what, torn_grid, create_ksp):
-    """Less than a tenth of a MiB a round, where a system takes several.
+    """It grows by less than 0.1 MiB a round; a system takes several MiB.
 
     A leak grows in each of the windows; an arena or a cache that the allocator takes once, in one.
     """

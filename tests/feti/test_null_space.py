@@ -173,7 +173,7 @@ def test_two_bodies(formulation):
 
 @every_formulation
 def test_slender_and_free(formulation):
-    """Bending costs next to nothing: what rounding leaves along the null space must not grow."""
+    """Bending takes little energy; rounding errors along the null space must not grow."""
     mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (100, 1)], (200, 2))
     options = {"feti_formulation": formulation, "ksp_rtol": 1e-8}
     linear = linear_problem(elasticity(mesh, clamped=None), options, subdomains=20)
@@ -243,7 +243,7 @@ def test_vectors_that_are_no_null_space(create, how, message, formulation):
 @every_formulation
 @pytest.mark.serial
 def test_body_in_one_subdomain(formulation):
-    """Its kernel lies inside, where no interface feels it; kept interiors have none."""
+    """The kernel is that of an eliminated interior; the message asks for two subdomains."""
     problem = poisson(cube(2, 5), clamped=None)
     options = {"feti_formulation": formulation, "feti_interior": "eliminate"}
     linear = linear_problem(problem, options, subdomains=1)

@@ -101,7 +101,7 @@ REFUSED = [
     [pytest.param(options, message, id=id_of(options, "options")) for options, message in REFUSED],
 )
 def test_refused(options, message):
-    """When the options are read, with what they may be."""
+    """The error comes when options are read, and lists the choices."""
     with raises(ValueError, message):
         read(**options)
 
@@ -274,7 +274,7 @@ def test_option_unlike_all_others(caplog):
 
 
 def test_options_that_are_read(caplog, tmp_path):
-    """Monitors, views, tolerances, sub-solvers: no word about any of them."""
+    """There is no warning for monitors, views, tolerances and options of sub-solvers."""
     nothing = f"ascii:{COMM.bcast(str(tmp_path))}/out"
     names = ("ksp_monitor", "ksp_view", "ksp_converged_reason", "ksp_view_solution")
     given = dict.fromkeys(names, nothing)

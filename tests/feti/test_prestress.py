@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Walls under pressure: rotations are no kernel any more, and every step is exact all the same."""
+"""Walls under pressure, where rotations leave the kernels: each linear solve is accurate."""
 
 from dataclasses import replace
 
@@ -45,7 +45,7 @@ def check_every_step(degree, subdomains, pressures, *, tangent="symmetric", kapp
 @pytest.mark.parametrize("subdomains", [1, 4, 16])
 @pytest.mark.parametrize(("degree", "growth"), [(1, 2.0), (2, 2.5)])
 def test_iterations_hardly_grow(degree, growth, subdomains):
-    """Subdomains of P1 buckle by the dozen, and the props keep the iterations down."""
+    """Many subdomains of P1 buckle; the stabilisation limits the iterations."""
     pressures = PHYSIOLOGICAL if degree == 1 or subdomains < 16 else MILD
     iterations = check_every_step(degree, subdomains, pressures)
     small(max(iterations) / max(iterations[0], 5), growth)  # the coarse space nearly solves
@@ -71,7 +71,7 @@ def test_other_preconditioners(preconditioner):
 
 @pytest.mark.parametrize(("kind", "kappa"), [("all_floating", 1000.0), ("classical", 1e5)])
 def test_up_to_300_mmhg(kind, kappa):
-    """In few load steps, each linear system exact, and the iterations as at rest."""
+    """There are few load steps, accurate linear solves, and as many iterations as at rest."""
     body = wall(tube(), kappa=kappa)
     problem = body.problem(6, {"feti_type": kind})
 

@@ -202,7 +202,7 @@ def two_fields(units, h=1e6):
     ids=["equal", "second-small", "first-small", "other-equations"],
 )
 def test_no_component_hides_another(units, formulation):
-    """Each component is right relative to itself."""
+    """The error of each component is small relative to that component."""
     problem = torn(two_fields(units), 6, feti_formulation=formulation)
     u = owned(problem.solve()).reshape(-1, 2)
     exact = direct_solution(problem).reshape(-1, 2)
@@ -346,7 +346,7 @@ def test_no_iteration_more_without_a_penalty(body, degree, rtol, formulation):
 
 @every_formulation
 def test_penalty_costs_what_its_accuracy_needs(formulation):
-    """Behind a penalty as many iterations as without, as the spectrum is the same."""
+    """A penalty takes as many iterations as none, as the spectrum is the same."""
     counts = [
         check(torn(spring_bar(bar_mesh(2), ratio), 6, feti_formulation=formulation)).iterations
         for ratio in (1.0, 1e8)
@@ -376,7 +376,7 @@ def test_nothing_to_do(value, formulation):
 
 @every_formulation
 def test_limit_of_iterations_is_told(formulation):
-    """The residual is met after few iterations, and the error is not."""
+    """The residual meets its tolerance after few iterations, the estimated error does not."""
     problem = torn(spring_bar(bar_mesh(2), 1e8), 6, feti_formulation=formulation, ksp_max_it=6)
     _, b = problem.linear_system()
     x = b.duplicate()
@@ -390,7 +390,7 @@ def test_limit_of_iterations_is_told(formulation):
 
 
 def test_own_test_of_the_dual_method_decides():
-    """It ends a third of the way, and what it leaves is measured all the same."""
+    """It ends early; residual and error are still measured."""
     problem = torn(
         spring_bar(bar_mesh(2), 1e6), 6, feti_formulation="dual", feti_dual_ksp_rtol=1e-2
     )

@@ -35,7 +35,7 @@ every_pc = pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity"
 
 
 def spectrum(create_ksp, problem, load=1.0, **options):
-    """Ritz values of the dual system, with random loads and the paper's coarse space."""
+    """Return the extreme Ritz values of the dual system for a random load, without soft modes."""
     options = {"formulation": "dual", "coarse_modes": 0} | options
     ksp = create_ksp(problem.A, ksp_rtol=1e-10, **{f"feti_{key}": o for key, o in options.items()})
     values = random_values(problem, seed=11213)
@@ -46,7 +46,7 @@ def spectrum(create_ksp, problem, load=1.0, **options):
 
 
 def eigenvalues(formulation):
-    """Eigenvalues of P M Pᵀ F on the balanced multipliers modulo the kernel of Bᵀ, dense.
+    """Return the eigenvalues of P M Pᵀ F on balanced multipliers modulo the kernel of Bᵀ, dense.
 
     If Q contains M, M is the preconditioner plus Q's diagonal part.
     """
@@ -166,7 +166,7 @@ def test_kernels_of_all_dimensions_in_one_decomposition(create_ksp, lifetime):
 def test_condition_grows_no_faster_than_a_squared_logarithm(
     problem, q, kind, torn_grid, create_ksp
 ):
-    """The quotient κ/(1 + log H/h)² does not grow with H/h; lumped is left behind."""
+    """The quotient κ/(1 + log H/h)² does not grow with H/h; κ of lumped is larger."""
     ratios = np.array([4, 8, 16])
     condition = {"dirichlet": [], "lumped": []}
     for n, pc_type in itertools.product(ratios, condition):
@@ -181,7 +181,7 @@ def test_condition_grows_no_faster_than_a_squared_logarithm(
 @every_type
 @pytest.mark.parametrize("components", [1, 2])
 def test_condition_is_bounded_in_the_number_of_subdomains(components, kind, torn_grid, create_ksp):
-    """At H/h = 4 from 4 to 100 subdomains; iterations with it."""
+    """This is at H/h = 4, from 4 to 100 subdomains."""
     condition = []
     for n in (2, 5, 10):
         low, high = spectrum(

@@ -61,7 +61,7 @@ def written(folder: Path, state: Fields, *times: float) -> Checkpoint:
 
 
 def check(folder: Path, state: Fields, t: float) -> None:
-    """The folder holds the state of one time, on this number of processes."""
+    """Assert that the folder has the state of one time."""
     checkpoint = opened(folder)
     past = checkpoint.read(state.functions)
     found = [f.x.array.copy() for f in state.functions]
@@ -129,7 +129,7 @@ def test_where_a_process_has_no_cell(tmp_path):
     ],
 )
 def test_another_problem(tmp_path, state, mesh, parameters, match):
-    """Folder and functions stay as they are."""
+    """The error changes neither the folder nor the functions."""
     written(tmp_path, state, 1.0)
     before = content(tmp_path)
     other = Fields(**mesh)
@@ -142,7 +142,7 @@ def test_another_problem(tmp_path, state, mesh, parameters, match):
 
 
 def test_cells_in_another_order(tmp_path):
-    """Same numbers, same extent: the state would be put into other cells."""
+    """Numbers and extent are the same, but values would be read into other cells."""
     i = np.arange(15)  # a helix of tetrahedra
     x = np.column_stack([np.cos(2.3 * i), np.sin(2.3 * i), 0.6 * i])
     cells = i[:12, None] + i[:4]
@@ -191,7 +191,7 @@ def test_folders_that_are_refused(tmp_path, state):
 
 @pytest.mark.parametrize("damage", ["empty", "short", "flipped", "other"])
 def test_damaged_states(tmp_path, state, damage):
-    """Found when the folder is opened."""
+    """The damage is found when the folder is opened."""
     written(tmp_path, state, 1.0)
     path = tmp_path / "state.npz"
 
@@ -218,7 +218,7 @@ def test_damaged_states(tmp_path, state, damage):
 
 
 def test_full_disk(tmp_path):
-    """Met by the first process alone: all raise, and the last state stays what it is."""
+    """Only the first process meets it; all raise, and the last state is kept."""
     state = Fields(8)  # its arrays are not sent before they are received
     none = opened(tmp_path / "none", restart=False)
     checkpoint = written(tmp_path / "one", state, 1.0)
@@ -243,7 +243,7 @@ def test_full_disk(tmp_path):
 
 @pytest.mark.processes(2, 3)
 def test_memory_of_the_first_process(tmp_path):
-    """It holds an array of another process at a time, and not the past of all."""
+    """It has one array of another process at a time, and not the earlier states of all."""
     state = Fields(8)
     checkpoint = opened(tmp_path, restart=False)
     past = [state.set(float(t)) for t in range(50)]
@@ -256,7 +256,7 @@ def test_memory_of_the_first_process(tmp_path):
 
 
 class Killed(BaseException):
-    """Stands for SIGKILL: nothing catches it."""
+    """Stands for SIGKILL; no code of the package catches it."""
 
 
 @pytest.mark.serial

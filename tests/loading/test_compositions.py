@@ -223,7 +223,7 @@ class Run:
     events=EVENTS,
 )
 def test_sequence(law, gaps, first, growth, events):
-    """Each step, and each state that an interrupt or a restart leaves, is that of the scalar."""
+    """Each step is that of the scalar, and so is each state after an interrupt or a restart."""
     targets = [round(t, 12) for t in np.cumsum(gaps)]
     run = Run(law, targets, first, growth)
     for attempt, event in sorted(events.items()):
@@ -262,7 +262,7 @@ def test_sequence(law, gaps, first, growth, events):
     ],
 )
 def test_order(law, order):
-    """Of the scalar, to which the steps are equal, beside the differential equation.
+    """The steps of the scalar converge to its differential equation with the expected order.
 
     Long and short steps take turns. Dashpots without inertia are of first order. With it the work
     on dashpots is of the order of the displacement.
@@ -290,7 +290,7 @@ def test_order(law, order):
 @pytest.mark.serial
 @pytest.mark.parametrize("kind", ["equilibria", "inertia"])
 def test_killed_and_restarted(tmp_path, kind):
-    """SIGKILL at random moments, restarts on 2, 3 and 1 processes, with all that there is."""
+    """It is killed at random moments and restarts on 2, 3 and 1 processes."""
     finish(start(kind, tmp_path / "whole"))
     random = np.random.default_rng(len(kind))
     killed = 0

@@ -101,7 +101,7 @@ def in_another_space(block: Block) -> ufl.Form:
     ],
 )
 def test_creep_of_another_spelling(dashpot: Callable[[Block], ufl.Form]):
-    """It is that of the displacement itself; a dashpot that does not advance is a spring."""
+    """The creep is that of u itself; a dashpot whose last state stays would be a spring."""
     block = Block()
     other = Block()
     expected = block.creep(block.dashpot())

@@ -102,7 +102,7 @@ class DoubledSteps(Steps):
 
 
 def test_a_further_rule_is_a_class_and_a_line(create_fake_problem):
-    """Settings choose it; steps that are not quick do not matter to it."""
+    """Settings create the rule, which may ignore how quick a step was."""
     problem = create_fake_problem(cost=lambda increment: 99)
     steps = problem.follow([7.0], DoubledSteps(first=1.0, least=1.0, quick=3))
     equal(increments(steps), [1.0, 2.0, 4.0], ROUNDING)
@@ -198,7 +198,7 @@ def test_remedy_fits_the_failure(create_fake_problem, error, match):
 
 @pytest.mark.parametrize("growth", [1.0, 1.7])
 def test_prediction_is_exact_for_parabolas(create_fake_problem, growth):
-    """With increments of any length, on the way back, and after a failure.
+    """This holds for increments of any length, after a turn of the load, and after a failure.
 
     The first steps begin with the tangent of the last equilibrium. The tolerance refers to that
     under the new load, not to the prediction.
@@ -220,7 +220,7 @@ def test_prediction_is_exact_for_parabolas(create_fake_problem, growth):
 
 
 def test_inadmissible_prediction_gives_way_to_the_tangent(create_fake_problem):
-    """No step is lost; and a failure from there is one."""
+    """The step is not counted as failed, unless the solve from the last tangent fails, too."""
     problem = create_fake_problem(
         inside_out=lambda load: load > 0.5, fails=lambda before, load: load == 0.8
     )
@@ -278,7 +278,7 @@ def test_on_step_is_called_in_each_equilibrium_on_all_processes(create_fake_prob
     ],
 )
 def test_bad_loads(create_fake_problem, start, targets, match):
-    """On one process alone: all refuse them, before anything has moved."""
+    """If one process alone has them, all raise before the first step."""
     problem = create_fake_problem()
     if not LAST:
         start = 0.0

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Restarts: the way of one run, and what they know of their problem; what no path begins with."""
+"""Restarts: they repeat an uninterrupted run, and notice another problem; starts are checked."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Pulled:
     ],
 )
 def test_restart_with_another_material(tmp_path, other, match):
-    """It is refused, unless the user says so; another load is none."""
+    """Another material is refused unless the user allows it; another load is not."""
     Pulled().follow([0.5], Checkpoint(tmp_path, COMM))
     with raises(ValueError, f"{match}.*allow_changes=True"):
         Pulled(**other).follow([0.5, 1.0], Checkpoint(tmp_path, COMM, restart=True))
@@ -83,7 +83,7 @@ def test_restart_with_another_material(tmp_path, other, match):
 
 
 def test_signature_of_what_is_made_again():
-    """UFL orders the Constants 9 and 10 otherwise than 7 and 8."""
+    """The signature does not depend on UFL's numbers of Constants, which it sorts as text."""
     numbers = set()
     for _ in range(30):
         body = Pulled()
@@ -233,7 +233,7 @@ def test_a_target_that_was_met_on_the_way(rtol, tmp_path):
 
 
 def test_a_foreign_record(tmp_path):
-    """Of something else, or of steps with other fields: nothing is touched."""
+    """A record of another program, or with other fields, is refused and not changed."""
     _, body = follow(tmp_path / "steps", 1.0, restart=False)
     other = Checkpoint(tmp_path / "steps", COMM, restart=True)
     other.record["steps"][0]["history"][0]["renamed"] = 1.0

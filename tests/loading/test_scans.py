@@ -161,7 +161,7 @@ def test_lines_of_the_page():
 @pytest.mark.processes(1, 2)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_loaded_again_it_is_the_image(degree):
-    """At the nodes of the mesh, at the cost of three inflations."""
+    """The loaded wall has the image's nodes; finding it costs at most three inflations."""
     scan = Scan(prestressed=False, degree=degree)
     inflation = scan.inflate(0.0, 80.0)
     for f in (scan.u, scan.p):
@@ -277,7 +277,7 @@ def test_path_that_goes_on(tmp_path, prestressed):
 
 @both
 def test_steps_are_the_same_in_any_unit_of_length(prestressed):
-    """In millimetres, metres and micrometres."""
+    """Units are millimetres, metres and micrometres."""
     scans = [Scan(prestressed=prestressed, length=length) for length in (1.0, 1e-3, 1e3)]
     taken = [[len(step.all_steps) for step in scan.find(20.0)] for scan in scans]
     agree(taken[1] == taken[0] and taken[2] == taken[0], taken)

@@ -156,7 +156,7 @@ def test_stress_magnitude():
     "energy", [fibred, lambda F: fibred(F, kin.jacobian(F)), lambda F: dispersed(F, 0.0)]
 )
 def test_stress_is_the_one_derived_on_paper(energy, F):
-    """With J or without, and of fibres whose dispersion is zero."""
+    """The energy is given J or not, or has dispersed fibres with a dispersion of zero."""
     np.testing.assert_allclose(piola(energy, F), hand_stress(F), rtol=1e-12, atol=1e-13)
 
 
@@ -173,7 +173,7 @@ def test_fibres_stiffen_the_reference_state_whatever_the_rounding(length):
 
 
 def test_inverted_state_is_not_hidden():
-    """With J at hand its energy is no number: NaN in compiled code, a complex power here."""
+    """Given J, its energy is NaN in compiled code, and a complex power in UFL's evaluation."""
     F = variable(np.diag([-1.1, 1.0, 1.0]))
     with pytest.raises(TypeError):
         value(fibred(F, kin.jacobian(F)))
@@ -280,7 +280,7 @@ def test_code_of_all_forms_is_short(tmp_path):
 
 
 def test_limit_of_the_quadrature_degree():
-    """Of what is estimated above it and states none; derivatives inherit it."""
+    """It holds for integrals without a degree whose estimate is larger; derivatives inherit it."""
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
     u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,))))
     dear = fibred(kin.deformation_gradient(u)) * ufl.dx

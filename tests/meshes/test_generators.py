@@ -109,7 +109,7 @@ def test_wrong_words(tmp_path, monkeypatch, capsys, module, words, said):
     ],
 )
 def test_wrong_values(tmp_path, create, options, message):
-    """A file that is there stays as it is."""
+    """An existing file is not changed."""
     path = tmp_path / "v.msh"
     path.write_text("mine")
     with raises(ValueError, message):

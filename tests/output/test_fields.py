@@ -139,7 +139,7 @@ def test_what_is_written_is_read(u, tmp_path, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_mesh_that_moves(tmp_path, kind):
-    """Each step is shown where the mesh was then."""
+    """Each step has the points of the mesh at that time."""
     mesh = cube(3, 2)
     v = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1)), name="displacement")
     with FieldWriter(tmp_path / "wall", [v], kind=kind) as writer:

@@ -136,7 +136,7 @@ def test_nothing_to_draw(tmp_path):
 
 
 def test_picture_that_cannot_be_written(beam, tmp_path):
-    """On all processes."""
+    """All processes raise the error."""
     on_first(lambda: (tmp_path / "wall.png").mkdir())
     with raises(IsADirectoryError, "wall.png"):
         pictures.draw(tmp_path / "wall.png", pictures.field(beam.u, "|u|"))

@@ -116,7 +116,7 @@ def test_linear_pressure_from_its_means(dim):
 
 
 def test_smooth_fields_with_the_second_power_of_the_size():
-    """That of the linear fits, which the later sweeps keep."""
+    """Linear fits have this order, and later sweeps keep it."""
     errors = []
     for n in (6, 12):
         mesh = cube(2, n)
@@ -128,7 +128,7 @@ def test_smooth_fields_with_the_second_power_of_the_size():
 
 
 def test_a_field_is_continuous_in_each_layer():
-    """Of noise, too; at the interface it jumps."""
+    """This holds for noise, too; it jumps at the interface of the layers."""
     mesh = mesh_of(3)
     patches, jump = patches_of(mesh)
     noise = dolfinx.fem.Function(jump.function_space)

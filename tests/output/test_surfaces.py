@@ -66,7 +66,7 @@ def test_outside_is_on_the_left_hand_turn(cell):
 
 @pytest.mark.parametrize("cell", CELLS)
 def test_displacement_and_values_are_exact_at_the_points(cell):
-    """Quadratic ones are reproduced at the nodes of a quadratic element."""
+    """Quadratic fields are exact at the nodes of a quadratic element."""
     mesh = create_body(cell)
     gdim = mesh.geometry.dim
     x = ufl.SpatialCoordinate(mesh)

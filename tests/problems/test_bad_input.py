@@ -167,7 +167,7 @@ def test_other_scalar_types(create, scalar, monkeypatch):
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 @pytest.mark.parametrize("create", [linear, nonlinear])
 def test_no_condition_at_all(create, kind):
-    """The kernel is counted, and u stays."""
+    """The message has the dimension of the kernel; u is not changed."""
     problem = create(elasticity(cube(2, 4), clamped=None), petsc_options={"feti_type": kind})
     with raises(ConvergenceError, "singular, with a kernel of dimension 3.*Add Dirichlet cond"):
         problem.solve()
@@ -293,7 +293,7 @@ def test_unsymmetric_matrix_with_cg():
 
 @pytest.fixture(scope="module")
 def body() -> Wall:
-    """A small wall of P1–P0 elements; no test moves it."""
+    """A small wall of P1–P0 elements, which tests do not deform."""
     return wall(tube(around=6, along=1), degree=1)
 
 

@@ -106,7 +106,7 @@ def test_without_a_load():
 
 
 def test_solve_that_fails():
-    """Nothing was built; the message has the reason."""
+    """There are no figures of a solver; the message has the reason."""
     found = torn(elasticity(cube(3, 3), clamped=None), 4).diagnose()
     agree(found.report is None and found.advice == () and found.figures is None)
     agree("singular" in found.message and "singular" in str(found))
@@ -134,7 +134,7 @@ def test_few_and_many_dofs(monkeypatch):
 
 
 def test_one_subdomain_for_each_process_is_not_too_small():
-    """There can be no fewer, however few dofs it has."""
+    """There is no such advice, as there can be no fewer subdomains."""
     problem = torn(poisson(cube(2, 6)), COMM.size)
     problem.solve()
     found = problem.diagnose()

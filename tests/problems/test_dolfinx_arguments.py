@@ -48,7 +48,7 @@ def rubber():
 
 
 def test_positional_arguments(heat, rubber):
-    """In dolfinx 0.9 all of them were."""
+    """As in dolfinx 0.9, all arguments may be positional."""
     u = dolfinx.fem.Function(heat.V)
     problem = LinearProblem(heat.a, heat.L, heat.bcs, u, {"ksp_rtol": 1e-10}, {}, {}, subdomains=4)
     agree(problem.solve() is u is problem.u and problem.solver.getTolerances()[0] == 1e-10)

@@ -95,7 +95,7 @@ def search(system: OneUnknown, *, shifted: bool = False) -> float:
 
 
 def valley(pit):
-    """A constant force down to a pit, and one up beyond it."""
+    """Return r(u), constant on each side of a pit with opposite signs, and a potential."""
     return {
         "r": lambda u: -1.0 if u < pit else 1.0,
         "potential": lambda u: -min(u, pit) + max(u - pit, 0.0) / 4,
@@ -153,7 +153,7 @@ def test_a_step_ends_close_to_a_kink(kink, jump, energy):
 
 
 class Tenth:
-    """A line search of a stranger: α = 1/10, wherever it leads."""
+    """A line search of a user: α = 1/10 in each step."""
 
     def serves(self, line):
         return True

@@ -28,7 +28,7 @@ TIGHT = {"snes_rtol": 1e-10, "snes_atol": 1e-14, "ksp_rtol": 1e-10}
 
 
 def part(n):
-    """This process's entries of n."""
+    """Return the slice of this process in n entries."""
     return slice(n * COMM.rank // COMM.size, n * (COMM.rank + 1) // COMM.size)
 
 
@@ -87,7 +87,7 @@ def swelling(body: Block) -> float:
 
 @pytest.mark.parametrize("element", ELEMENTS[1:])
 def test_the_incompressible_solution(element):
-    """κ of ten times the shear modulus ends where the mixed problem with κ = ∞ does."""
+    """With a κ of ten times the shear modulus the solution is that of κ = ∞."""
     body = at_rest(COMM, element, 10.0)
     alone = at_rest(MPI.COMM_SELF, element, INCOMPRESSIBLE)
     solved = problem(body, 1e-9)
@@ -128,7 +128,7 @@ def test_slope_of_the_potential(element):
 
 
 def test_a_state_brings_its_multipliers_along():
-    """An equilibrium that is put back is one, whatever was solved in between."""
+    """A restored equilibrium has its multipliers, whatever was solved in between."""
     body = at_rest(COMM, "p2-p0-p0", 10.0)
     solved = problem(body, 1e-8)
     solved.solve()

@@ -33,7 +33,7 @@ Reason = PETSc.SNES.ConvergedReason
 
 
 def test_load_far_too_big_for_one_step():
-    """300 mmHg at once: the wall is there, or an error says how to get there."""
+    """300 mmHg in one step are solved, or the error has a remedy; later solves work."""
     body = wall(tube(), degree=1)
     problem = body.problem(2, {"snes_max_it": 15})
     failed = ""
@@ -199,7 +199,7 @@ def broken(*_: object, **__: object) -> None:
 
 @pytest.mark.parametrize("name", ["form", "Expression"])
 def test_compilation(name, monkeypatch):
-    """As where the cache of one machine cannot be written."""
+    """One process fails to compile, as if it could not write to its cache."""
     original = getattr(dolfinx.fem, name)
 
     def compiled(*args, **options):

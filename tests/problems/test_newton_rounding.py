@@ -98,7 +98,7 @@ def light_beam(**options):
 
 
 def test_equilibrium_is_solved_for_again():
-    """There the residual begins as rounding, and no step length has to be admissible."""
+    """The residual at the start is rounding; the second solve ends after one step."""
     _, problem = light_beam()
     found = problem.diagnose()
     agree("at the floor of rounding" in str(found), found)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""When Newton's method has converged: the residual hides nothing that the preconditioner sees."""
+"""When Newton's method has converged: an error that a small residual hides is noticed."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def check(problem, body, exact, tolerance=ACCURATE):
 @pytest.mark.parametrize("ratio", [1e5, 1e8], ids="{:g}".format)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_springs(dim, ratio, energy, formulation):
-    """Few steps more than for soft springs."""
+    """Stiff springs take a few more steps than soft ones."""
     body = bar(ratio, dim)
     exact, _ = reference(body)
     history = check(body.problem(formulation, energy=energy), body, exact)
@@ -156,7 +156,7 @@ def test_condensed_pressure(ratio, formulation):
 
 @every_formulation
 def test_linear_body(formulation):
-    """What one step left to the error takes a second one, with the tangent of the first."""
+    """If the first step leaves an error, a second one with the same tangent removes it."""
     body = bar(1e8, linear=True)
     exact, _ = reference(body)
     history = check(body.problem(formulation), body, exact)

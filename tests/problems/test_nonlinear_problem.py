@@ -60,7 +60,7 @@ def test_same_wall_for_all_decompositions(degree, subdomains, references):
 
 @pytest.mark.parametrize("renew", [True, False])
 def test_preconditioner_of_the_last_solve(renew, monkeypatch):
-    """It serves on if that is asked for, and u is the same."""
+    """It is kept if asked for, and u is the same."""
     body = wall(tube(), degree=1)
     other = wall(tube(), degree=1)
     problem = body.problem(4, TIGHT)
@@ -98,7 +98,7 @@ def test_what_a_problem_offers():
 
 
 def test_tangent_of_the_last_equilibrium_predicts():
-    """It changes the way, not the goal."""
+    """It changes the Newton steps, not the solution."""
     fields = []
     first = []
     for ahead in (False, True):
@@ -206,7 +206,7 @@ def test_code_of_a_problem_is_short(tmp_path, monkeypatch):
 
 
 def test_nothing_is_left_behind():
-    """A problem goes when its last name goes, with all that it made."""
+    """A problem is freed with its last reference, and so are its PETSc objects."""
     body = wall(tube(), degree=1)
     problem = body.problem(3)
     body.inflate(problem, [1.0])

@@ -193,7 +193,7 @@ def solve(body: Body, *, path: bool) -> tuple[list[int], list[int], np.ndarray]:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_law_of_units(name):
-    """As many Newton steps and, up to rounding, iterations, and the same u over the length."""
+    """Newton steps are equal, iterations up to rounding, and so is u over the length."""
     rng = np.random.default_rng(list(name.encode()))
     body = Body(KINDS[name])
     for number in range(ALONE if COMM.size == 1 else TOGETHER):

@@ -23,7 +23,7 @@ RTOL = 1e-10
 
 
 def border(problem, m=2, *, symmetric=True, units=1.0, seed=3):
-    """Smooth columns without Dirichlet rows, whole."""
+    """Return smooth columns that are zero on Dirichlet dofs, on all processes."""
     x = problem.x
     bs = len(problem.dirichlet) // len(problem.x)
     waves = np.random.default_rng(seed).standard_normal((m, bs, x.shape[1] + 1))
@@ -130,7 +130,7 @@ def test_floating_body(grid, form, rolls, torn_grid, create_ksp):
 
 @forms
 def test_springs_are_there_once_and_during_a_solve_alone(form, torn_grid, create_ksp):
-    """Whatever a caller adds to the diagonal between two solves, as Newton's shifts do."""
+    """This holds if the caller changes the diagonal between two solves, as Newton's shifts do."""
     problem = torn_grid(fixed=lambda x: np.zeros(len(x), dtype=bool), **GRID)
     rng = np.random.default_rng(1)
     n, m = problem.modes.shape

@@ -71,7 +71,7 @@ def test_the_documents_examples(read):
 
 
 def test_units(read):
-    """And what has none."""
+    """Values with and without a unit are read."""
     case = read(
         LEAST.replace("= 3.0", '= "3 Pa"').replace("= 1.0", '= "2 kPa"')
         + '[surfaces.outer]\nspring = "4 kPa/cm"\ndashpot = "5e6 Pa s/m"\npressure = "1 kPa"\n'

@@ -93,7 +93,7 @@ def is_frame(frame):
 
 @pytest.mark.parametrize("scale", [1e-3, 1e-9, 1e6])
 def test_nothing_depends_on_the_unit_of_length(tmp_path, scale):
-    """A wall in metres is as good as one in millimetres."""
+    """Directions are the same for a wall in metres and in millimetres."""
     path = tmp_path / "wall.msh"
     mesh = on_first(lambda: read_wall_arrays(EXAMPLE))
     on_first(lambda: write_msh(path, replace(mesh, points=scale * mesh.points)))
@@ -206,7 +206,7 @@ def test_inlet_may_be_chosen(tmp_path):
 
 @pytest.mark.parametrize("wide", ["opening_1", "opening_2"])
 def test_inlet_is_the_widest_opening(tmp_path, wide):
-    """Of a cone, whichever end that is."""
+    """It is the wide end of a cone, at either end."""
 
     def make():
         create_tube(tmp_path / "t.msh", size=0.4, length=1.0)

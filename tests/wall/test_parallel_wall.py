@@ -89,7 +89,7 @@ def test_parts_are_those_that_were_written(tmp_path):
 
 @pytest.mark.parametrize("given", ["one alone", "not all"])
 def test_tags_are_those_that_were_written(tmp_path, given):
-    """Of a wall of one layer, and of one with cells without a tag, too."""
+    """This also holds for a wall of one layer, and for cells without a tag."""
     wall = create_brick_tube(COMM, length=0.6, size=0.15, order=1, tetrahedra=True)
     tags = wall.cell_tags
     mesh = wall.mesh

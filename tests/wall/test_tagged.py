@@ -67,7 +67,7 @@ def test_names_by_hand(cell):
 
 @pytest.mark.parametrize("cell", CELLS)
 def test_without_layers_and_names(cell):
-    """The facets tagged 0 are no surface then."""
+    """Without names the facets tagged 0 are not a surface."""
     mesh, _, facet_tags = box(cell)
     wall = create_wall(mesh, None, facet_tags)
     agree((wall.layers, wall.surfaces) == ({"wall": 1}, {"surface_4": 4, "surface_5": 5}))

@@ -75,7 +75,7 @@ class Subdomains:
 
 @pytest.mark.parametrize("threshold", [0.1, 1.0, 4.0])
 def test_eigenvectors_above_the_threshold(threshold, monkeypatch):
-    """With room for all: as many as there are, with unit energy; the others cost less."""
+    """If all may join, all above the threshold are found, with unit energy; others are below it."""
     body = Subdomains(12, 30)
     monkeypatch.setattr(f"{ADAPTIVE}.INTERFACE_DOFS_FOR_ALL_COLUMNS", 1)
     monkeypatch.setattr(f"{ADAPTIVE}.MIN_STEPS", 6)
@@ -117,7 +117,7 @@ def test_steps_go_on_while_most_values_are_above_the_threshold(threshold):
 
 
 def test_small_subdomains_have_few_columns():
-    """Their share of 640 interface dofs; no more than dofs; none if none, or without a share."""
+    """They have their share of 640 interface dofs, at most as many columns as dofs, or none."""
     body = Subdomains(
         0,
         1,
@@ -134,7 +134,7 @@ def test_small_subdomains_have_few_columns():
 
 
 def test_columns_do_not_depend_on_other_subdomains():
-    """Nor on how many a process holds: random numbers begin anew with each."""
+    """Random numbers begin anew with each subdomain, so other subdomains do not matter."""
     together = Subdomains(80, 80)
     alone = Subdomains(80)
     for own, other in ((together.A, alone.A), (together.S_ρ, alone.S_ρ), (together.E, alone.E)):
