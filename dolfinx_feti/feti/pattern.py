@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from copy import copy
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -185,19 +184,15 @@ def _require_primal(options: FETIOptions, subsolvers: SubsolverOptions) -> None:
 def torn_symmetric_part(torn: Torn) -> Iterator[Torn]:
     """Return a context with a torn matrix in which ½ (K + Kᵀ) replaces K. Collective.
 
-    The copy shares everything else with the original, such as the star forest. Do not destroy it,
-    or use it outside the context. It has the same subdomains, because ½ (K + Kᵀ) couples the same
-    dofs as K.
+    It serves only within the context. Its subdomains are the same, as ½ (K + Kᵀ) couples the dofs
+    that K couples.
     """
-    part = copy(torn)
     K = torn.K.copy()
     transposed = torn.K.transpose(PETSc.Mat())
     K.axpy(1.0, transposed, structure=PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN)
     K.scale(0.5)
     transposed.destroy()
-    part.K = K
     try:
-        part.read_pattern()
-        yield part
+        yield torn.with_local_matrix(K)
     finally:
         K.destroy()

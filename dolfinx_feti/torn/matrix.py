@@ -318,7 +318,7 @@ class Torn:
                 )
             self.first_torn_dof = self.comm.scan(self.n) - self.n
             self.N = A.getLocalSize()[0]
-            self.read_pattern()
+            self._read_pattern()
             self.first_subdomain = self.comm.scan(len(self.subdomains)) - len(self.subdomains)
             torn_to_global = A.getLGMap()[0].getIndices()
             self._sf = owned.own(create_star_forest(torn_to_global, self.N, self.comm))
@@ -327,12 +327,23 @@ class Torn:
             self.is_dirichlet_copy = self.tear(self.is_dirichlet.astype(np.int64)) > 0
             self._owned = owned.pop_all()
 
-    def read_pattern(self) -> None:
-        """Set ``graph`` and ``subdomains`` from the pattern of K. Collective.
+    def with_local_matrix(self, K: PETSc.Mat) -> Torn:
+        """Return a torn matrix in which another local matrix replaces K. Collective.
 
-        ``feti.pattern`` calls it again for a copy of this object in which another K replaces the
-        local matrix.
+        It shares all else with this object, the star forest and ``errors`` included, and must not
+        be used after :meth:`destroy` of this object. Its own :meth:`destroy` frees nothing.
+
+        Args:
+            K: Square AIJ matrix with the subdomains of this object, (n, n). The caller destroys it.
         """
+        other = copy(self)
+        other.K = K
+        other._owned = Lifetime()
+        other._read_pattern()
+        return other
+
+    def _read_pattern(self) -> None:
+        """Set ``graph`` and ``subdomains`` from the pattern of K. Collective."""
 
         def read() -> None:
             bs = self.K.getBlockSize()
