@@ -145,10 +145,11 @@ def _set_up_inverse(
     """
     torn = pattern.torn
     near_kernel = torn.near_kernel()
+    has_adaptive_columns = pattern.options.coarse_adaptive > 0
     options = SoftModeOptions(
         max_count=pattern.options.coarse_modes,
         threshold=pattern.options.coarse_threshold,
-        has_adaptive_columns=is_primal and pattern.options.coarse_adaptive > 0,
+        allow_omission=is_primal and has_adaptive_columns and operator.is_interior_eliminated,
     )
 
     def create() -> GeneralizedInverse:

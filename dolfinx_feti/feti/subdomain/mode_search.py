@@ -63,13 +63,14 @@ class SoftModeOptions:
     Attributes:
         max_count: Largest number of soft modes of a subdomain.
         threshold: Largest stiffness of a soft mode, over that of the interface dofs.
-        has_adaptive_columns: Whether the coarse space gets adaptive columns: in the primal form,
-            unless an option switches them off.
+        allow_omission: Whether soft modes may be left out because adaptive columns, which are
+            computed later, contain them: in the primal form with formed S_i, unless an option
+            switches these columns off.
     """
 
     max_count: int
     threshold: float
-    has_adaptive_columns: bool
+    allow_omission: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,8 +187,8 @@ def _factor_if_regular(K: ScaledMatrix, R: Array, rho: float) -> RegularisedMatr
     K_ρ: RegularisedMatrix | None = None
     try:
         K_ρ = RegularisedMatrix(K, R, rho, K.factor_for_preconditioner(R, rho))
-        # A factor in single precision has passed a stricter test of the same growth.
-        if K_ρ.factor.is_single_precision or not K_ρ.is_singular():
+        # A factor known to be well conditioned has passed a stricter test of the same growth.
+        if K_ρ.factor.is_well_conditioned or not K_ρ.is_singular():
             return K_ρ
     except FactorError:
         # Some solvers stop at a zero pivot of a singular K_ρ, in the factorisation or in a solve.
@@ -272,7 +273,10 @@ def _complete_modes(
         E, D = _displacements_and_defect(K_ρ)
     is_softened = _is_softened(K, D)
     Y: Array = np.zeros((n_i, 0))
-    if _needs_soft_modes(K_ρ.factor, options, is_softened=is_softened):
+    # Adaptive columns contain the soft modes unless stress softens the subdomain, or a mode is too
+    # soft for them: random vectors then grow much in a solve.
+    is_well_conditioned = K_ρ.factor.is_well_conditioned
+    if not options.allow_omission or is_softened or not is_well_conditioned:
         Y = _orthonormal_soft_modes(K_ρ, options)
     if Y.shape[1]:
         E, D = append_soft_modes(E, D, Y, K_ρ.solve(Y), K_ρ.rho)
@@ -320,19 +324,6 @@ def _is_softened(K: ScaledMatrix, D: Array) -> bool:
         return False
     lowest = np.linalg.eigvalsh(D).min(initial=0.0)
     return bool(lowest < -MIN_SOFTENING * K.stiffness[is_glued].mean())
-
-
-def _needs_soft_modes(factor: ScaledFactor, options: SoftModeOptions, *, is_softened: bool) -> bool:
-    """Return True unless the adaptive columns, which are computed later, contain the soft modes.
-
-    They contain the soft modes under three conditions: stress does not soften the subdomain, S_i is
-    formed, and no mode is too soft for single precision. A factor in single precision implies the
-    second and third: only a formed S_i gets one, and only if random vectors grow little in a solve.
-    If single precision is not allowed, soft modes are computed in addition.
-    """
-    if not options.has_adaptive_columns or is_softened:
-        return True
-    return not factor.is_single_precision
 
 
 def _orthonormal_soft_modes(K_ρ: RegularisedMatrix, options: SoftModeOptions) -> Array:

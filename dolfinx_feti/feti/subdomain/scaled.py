@@ -46,10 +46,14 @@ class ScaledFactor:
     Attributes:
         unscaled: Factor of the same matrix before it was scaled, s K̂ s.
         scale: s, (n_i,); None for ones.
+        is_well_conditioned: Whether a test has shown that random vectors grow little in a solve
+            (:data:`MAX_SINGLE_PRECISION_ERROR`): the matrix is regular, and none of its modes is
+            soft. False if the test has failed, or was not made.
     """
 
     unscaled: Factor
     scale: Array | None
+    is_well_conditioned: bool = False
 
     @property
     def inertia(self) -> FactorInertia:
@@ -139,13 +143,13 @@ class ScaledMatrix:
         if not self.allow_single_precision:
             return self.factor(R, rho)
         unscaled = self.matrix.factor_for_preconditioner(self.unscaled_forces(R), rho)
-        factor = ScaledFactor(unscaled, self.scale)
-        if factor.is_single_precision:
-            error = growth(unscaled, self.matrix.diagonal_of_K) * SINGLE_ROUNDING
-            if not error <= MAX_SINGLE_PRECISION_ERROR:  # or it is NaN
-                factor.destroy()
-                return self.factor(R, rho)
-        return factor
+        if not unscaled.is_single_precision:
+            return ScaledFactor(unscaled, self.scale)
+        error = growth(unscaled, self.matrix.diagonal_of_K) * SINGLE_ROUNDING
+        if not error <= MAX_SINGLE_PRECISION_ERROR:  # or it is NaN
+            unscaled.destroy()
+            return self.factor(R, rho)
+        return ScaledFactor(unscaled, self.scale, is_well_conditioned=True)
 
     def is_singular(self, factor: ScaledFactor) -> bool:
         """Return True if the factored matrix is singular within ``null_tolerances``."""
