@@ -11,14 +11,11 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from petsc4py import PETSc
-
 import numpy as np
 
-from dolfinx_feti.feti.subdomain.analysis import Analysis, SubdomainAnalysis
+from dolfinx_feti.feti.subdomain.analysis import Analysis
 from dolfinx_feti.feti.subdomain.blocks import multiply_block
-from dolfinx_feti.feti.subdomain.factors.create import factor_sparse
-from dolfinx_feti.feti.subdomain.factors.petsc_solver import FactorOptions
+from dolfinx_feti.feti.subdomain.factors.create import SparseBlock, factor_sparse
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
 from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace
 from dolfinx_feti.feti.subdomain.subdomain import Subdomain
@@ -84,29 +81,17 @@ class SubdomainMatrix:
         diagonal_of_K: Its absolute diagonal, (n_i,).
     """
 
-    def __init__(
-        self,
-        K: PETSc.Mat,
-        analysed: SubdomainAnalysis,
-        options: FactorOptions,
-        diagonal_of_K: Array,
-        work: WorkSpace,
-    ) -> None:
+    def __init__(self, subdomain: Subdomain, block: SparseBlock, diagonal_of_K: Array) -> None:
         """Refer to the block of one subdomain in K.
 
         Args:
-            K: Local matrix of this process, (n, n).
-            analysed: The subdomain, and its symbolic factor.
-            options: How PETSc factors K_i, if it does.
+            subdomain: The subdomain.
+            block: Its block K_i, of which the rows are its free dofs.
             diagonal_of_K: Absolute diagonal of K_i, (n_i,).
-            work: Work space of the factorisations, shared by the subdomains.
         """
-        self.subdomain = analysed.subdomain
+        self.subdomain = subdomain
         self.diagonal_of_K = diagonal_of_K
-        self._symbolic = analysed.local_symbolic
-        self._K = K
-        self._options = options
-        self._work = work
+        self._block = block
 
     @property
     def dofs(self) -> Indices:
@@ -115,23 +100,13 @@ class SubdomainMatrix:
 
     def multiply(self, X: Array) -> Array:
         """Return K_i X, (n_i, r)."""
-        return multiply_block(self._K, self.dofs, self.dofs, X)
+        return multiply_block(self._block.K, self.dofs, self.dofs, X)
 
     def factor(
         self, R: Array, rho: float, shift: Array | None = None, *, is_graded: bool = False
     ) -> Factor:
         """Factor K_i + ρ R Rᵀ + diag(shift); see :class:`LocalMatrix`."""
-        return factor_sparse(
-            self._K,
-            self.dofs,
-            self._options,
-            R,
-            rho,
-            shift,
-            symbolic=self._symbolic,
-            work=self._work,
-            is_graded=is_graded,
-        )
+        return factor_sparse(self._block, R, rho, shift, is_graded=is_graded)
 
     def factor_for_preconditioner(self, R: Array, rho: float) -> Factor:
         """Factor K_i + ρ R Rᵀ in double precision: there are no sparse factors in single."""
@@ -147,7 +122,11 @@ def create_subdomain_matrices(torn: Torn, analysis: Analysis) -> list[SubdomainM
     """
     diagonal = np.abs(torn.diagonal())
     work = WorkSpace()
-    return [
-        SubdomainMatrix(torn.K, s, analysis.local_options, diagonal[s.subdomain.free_dofs], work)
-        for s in analysis.by_subdomain
-    ]
+    matrices = []
+    for analysed in analysis.by_subdomain:
+        s = analysed.subdomain
+        K_i = SparseBlock(
+            torn.K, s.free_dofs, analysis.local_options, analysed.local_symbolic, work
+        )
+        matrices.append(SubdomainMatrix(s, K_i, diagonal[s.free_dofs]))
+    return matrices

@@ -22,7 +22,7 @@ import numpy as np
 
 from dolfinx_feti.feti.subdomain.analysis import Analysis, SubdomainAnalysis
 from dolfinx_feti.feti.subdomain.blocks import index_set, sparse_block
-from dolfinx_feti.feti.subdomain.factors.create import factor_interior
+from dolfinx_feti.feti.subdomain.factors.create import SparseBlock, factor_interior
 from dolfinx_feti.feti.subdomain.factors.packed import PackedMatrix
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_counts
 from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace, pack
@@ -348,13 +348,14 @@ def _factor_interior(
         of the factorisation.
     """
     with NumberedErrors(analysed.subdomain.number):
-        return factor_interior(
+        K_II = SparseBlock(
             torn.K,
             analysed.subdomain.interior,
             analysis.interior_options,
-            symbolic=analysed.interior_symbolic,
-            work=work,
+            analysed.interior_symbolic,
+            work,
         )
+        return factor_interior(K_II)
 
 
 def _schur_complement_by_solves(K: PETSc.Mat, subdomain: Subdomain, factor: Factor) -> Array:

@@ -36,6 +36,7 @@ memory (docs/results/factors.md).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -119,29 +120,36 @@ def analyse_blocks(
     return on_subdomains(analyse, torn.comm)
 
 
-def factor_sparse(
-    K: PETSc.Mat,
-    rows: Indices,
-    options: FactorOptions,
-    R: Array,
-    rho: float,
-    shift: Array | None = None,
-    *,
-    symbolic: SymbolicFactor | None,
-    work: WorkSpace,
-    is_graded: bool = False,
-) -> Factor:
-    """Factor a sparse block ``K[rows, rows] + ρ R Rᵀ + diag(shift)``.
+@dataclass(frozen=True, slots=True)
+class SparseBlock:
+    """A diagonal block K[rows, rows], (n_i, n_i), and the means of its factorisation.
 
-    Args:
+    Attributes:
         K: Sequential matrix of all subdomains, (n, n).
         rows: Rows and columns of the block, (n_i,).
         options: Settings of the solver of PETSc.
+        symbolic: Symbolic factor of the block, or, for the interior of a subdomain of which S is
+            formed, of the subdomain with its interface; None if PETSc factors the block.
+        work: Work space, shared with other blocks.
+    """
+
+    K: PETSc.Mat
+    rows: Indices
+    options: FactorOptions
+    symbolic: SymbolicFactor | None
+    work: WorkSpace
+
+
+def factor_sparse(
+    block: SparseBlock, R: Array, rho: float, shift: Array | None = None, *, is_graded: bool = False
+) -> Factor:
+    """Factor a sparse block, K[rows, rows] + ρ R Rᵀ + diag(shift).
+
+    Args:
+        block: The block K[rows, rows], (n_i, n_i).
         R: Columns, (n_i, k); orthonormal unless they are graded or there is a shift.
         rho: Stiffness ρ.
         shift: Addend of the diagonal, (n_i,); None for zero.
-        symbolic: Symbolic factor of the block; None if it has none.
-        work: Work space.
         is_graded: Whether the norms of the rows of R span many orders of magnitude. Then K_Q of
             ``woodbury`` is badly conditioned, and PETSc factors the block.
 
@@ -149,31 +157,19 @@ def factor_sparse(
         FactorError: The factorisation failed.
         MemoryError: Memory ran out.
     """
-    if symbolic is not None and shift is None and not is_graded and len(rows):
-        with csr_of(K) as csr:
-            factor = factor_by_woodbury(symbolic, csr, R, rho, work)
+    if block.symbolic is not None and shift is None and not is_graded and len(block.rows):
+        with csr_of(block.K) as csr:
+            factor = factor_by_woodbury(block.symbolic, csr, R, rho, block.work)
         if factor is not None:
             return factor
-    return factor_by_petsc(K, rows, options, R, rho, shift)
+    return factor_by_petsc(block.K, block.rows, block.options, R, rho, shift)
 
 
-def factor_interior(
-    K: PETSc.Mat,
-    rows: Indices,
-    options: FactorOptions,
-    *,
-    symbolic: SymbolicFactor | None,
-    work: WorkSpace,
-) -> tuple[Factor, Array | None]:
+def factor_interior(interior: SparseBlock) -> tuple[Factor, Array | None]:
     """Factor K_II of a subdomain; form S if the factorisation yields it.
 
     Args:
-        K: Sequential matrix of all subdomains, (n, n).
-        rows: Rows and columns of the interior, (n_{I,i},).
-        options: Settings of the solver of PETSc.
-        symbolic: Symbolic factor of the subdomain with its interface, if S is wanted, or of the
-            interior; None if there is none.
-        work: Work space.
+        interior: The block K_II, (n_{I,i}, n_{I,i}).
 
     Returns:
         The factor of K_II; and the Schur complement S on the interface of the symbolic factor,
@@ -183,12 +179,12 @@ def factor_interior(
         FactorError: The factorisation failed.
         MemoryError: Memory ran out.
     """
-    if symbolic is not None:
-        with csr_of(K) as csr:
-            eliminated = symbolic.factor(csr, work)
+    if interior.symbolic is not None:
+        with csr_of(interior.K) as csr:
+            eliminated = interior.symbolic.factor(csr, interior.work)
         if eliminated is not None:
             return eliminated.factor, eliminated.schur
-    return factor_by_petsc(K, rows, options), None
+    return factor_by_petsc(interior.K, interior.rows, interior.options), None
 
 
 def factor_dense(S: PackedMatrix, R: Array, rho: float, shift: Array | None = None) -> Factor:
