@@ -88,7 +88,9 @@ class PrimalFormulation:
     @property
     def method(self) -> str:
         """PETSc's name of the Krylov method."""
-        return select_method(is_symmetric=self.pattern.is_symmetric)
+        return select_method(
+            is_symmetric=self.pattern.is_symmetric, is_indefinite=self.deflation.is_indefinite
+        )
 
     @property
     def solves_indefinite(self) -> bool:

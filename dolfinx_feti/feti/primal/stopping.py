@@ -68,14 +68,9 @@ class InterfaceErrorTest:
 class StoppingTest:
     """Tolerances of residual and error, and a limit of iterations, for a Krylov method.
 
-    A method calls :meth:`reason_of_residual` at the start and after each iteration, with ‖r‖. The
-    next iteration computes z of the same residual. If ‖r‖ has met its target, it then tests η::
-
-        z, _ = system.precondition(r)
-        if stopping.needs_error_estimate(norm):
-            reason = stopping.reason_of_error(stopping.estimate_error(z, x), its)
-            if reason != Reason.ITERATING:
-                break
+    ``krylov.iteration`` calls :meth:`reason_of_residual` with ‖r‖, at the start and after each
+    iteration. The next iteration computes z of the same residual. If ‖r‖ has met its target, η is
+    then tested: :meth:`needs_error_estimate`, :meth:`estimate_error` and :meth:`reason_of_error`.
 
     Attributes:
         target: Largest ‖r‖ that is accepted.

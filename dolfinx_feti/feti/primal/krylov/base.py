@@ -60,15 +60,13 @@ class KrylovMethod(Protocol):
 
     A method has to
 
-    - begin with :func:`start_from_coarse_space`, which calls ``monitor(0, ‖r₀‖)``, and call
-      ``monitor(k, ‖r_k‖)`` once after iteration k,
+    - begin with :func:`start_from_coarse_space`, which calls ``monitor(0, ‖r₀‖)``, and go on with
+      :func:`~dolfinx_feti.feti.primal.krylov.iteration.iterate`, which calls ``monitor(k, ‖r_k‖)``
+      once after iteration k and tests when the method ends,
     - apply A and M by ``system.apply`` and ``system.precondition`` only,
     - compute z from the residual in each iteration. z is accurate to single precision only
       (``coarse.products``). So a recurrence for z itself, such as z ← z − α M A p of conjugate
       residuals, cannot reduce ‖r‖ below some 1e-6 ‖r₀‖ (measured for a tube),
-    - call ``stopping`` as :class:`~dolfinx_feti.feti.primal.stopping.StoppingTest` describes, and
-      end unless the reason is ``ITERATING``,
-    - end with ``needs_fresh_start`` if it can neither converge nor continue,
     - guard local work of an iteration that may fail on one process, by ``system.copies.errors``.
       The methods of ``system`` return NaN if they fail; ‖r‖ is then NaN, too, and ``stopping`` ends
       the method on all processes.

@@ -30,6 +30,7 @@ from dolfinx_feti.feti.primal.krylov.base import (
     KrylovStart,
     start_from_coarse_space,
 )
+from dolfinx_feti.feti.primal.krylov.iteration import FRESH_START, IterationEnd, iterate
 from dolfinx_feti.feti.primal.stopping import InterfaceErrorTest, StoppingTest
 from dolfinx_feti.feti.primal.system import PrimalSystem
 from dolfinx_feti.feti.solve_info import KrylovInfo, MeasuredError
@@ -77,55 +78,26 @@ def conjugate_gradients(
     linear systems, 1952, theorem 6:3, for preconditioned vectors).
     """
     start = start_from_coarse_space(system, f, monitor)
-    cg = _Recurrences(system, start, stored_iterations)
-    best = BestIterate(start)
-    negative_curvatures_left = MAX_NEGATIVE_CURVATURES if allow_indefinite else 0
-    η = np.nan
-    needs_fresh_start = False
-    reason = stopping.reason_of_residual(cg.norm, 0)
+    cg = _Recurrences(
+        system,
+        start,
+        stored_iterations=stored_iterations,
+        max_negative_curvatures=MAX_NEGATIVE_CURVATURES if allow_indefinite else 0,
+    )
     if system.deflation.is_indefinite and not allow_indefinite:
-        reason = Reason.DIVERGED_INDEFINITE_MAT
-    while reason == Reason.ITERATING:
-        cg.precondition()  # z = Π M r
-        if stopping.needs_error_estimate(cg.norm):
-            η = stopping.estimate_error(cg.z, cg.x)
-            reason = stopping.reason_of_error(η, cg.its)
-            if reason != Reason.ITERATING:
-                break
-        if cg.rz <= 0.0:
-            reason = Reason.DIVERGED_INDEFINITE_PC
-            break
-        cg.set_direction()  # p = z + β p, q = A p
-        is_near_target = stopping.target < cg.norm <= ESTIMATION_RANGE * stopping.target
-        products = cg.products_of_step(stopping.error_test if is_near_target else None)
-        η = products.error_estimate  # of the iterate before the step
-        if products.pq <= 0.0:
-            if not system.deflation.proves_indefinite(cg.p, products.pq):
-                needs_fresh_start = True
-                break
-            if negative_curvatures_left == 0:
-                reason = Reason.DIVERGED_INDEFINITE_MAT
-                break
-            negative_curvatures_left -= 1
-        cg.step(products)
-        monitor(cg.its, cg.norm)
-        best.update(cg.x, cg.norm, cg.its)
-        if best.is_stagnating(cg.its):
-            needs_fresh_start = True
-            break
-        reason = stopping.reason_of_residual(cg.norm, cg.its, η)
+        end = IterationEnd(Reason.DIVERGED_INDEFINITE_MAT)
+    else:
+        end = iterate(cg, stopping, monitor)
     ritz_values = on_all(cg.lanczos.extreme_ritz_values, system.copies.comm)
-    basis = cg.lanczos.basis()
-    has_converged = reason == Reason.CONVERGED_RTOL
-    has_error = has_converged and not np.isnan(η)  # η is nan without an error test
+    has_error = end.has_converged and not np.isnan(end.error_estimate)  # nan without error test
     info = KrylovInfo(
-        reason,
+        end.reason,
         cg.its,
         ritz_values,
-        needs_fresh_start=needs_fresh_start,
-        measured_error=MeasuredError(η, cg.r) if has_error else None,
+        needs_fresh_start=end.needs_fresh_start,
+        measured_error=MeasuredError(end.error_estimate, cg.r) if has_error else None,
     )
-    return cg.x if has_converged else best.x, info, basis
+    return cg.x if end.has_converged else cg.best.x, info, cg.lanczos.basis()
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,40 +120,46 @@ class _ProductsOfStep:
 
 
 class _Recurrences:
-    """The vectors of conjugate gradients, stored by copies, (n_Γ,), and their recurrences.
-
-    An iteration calls :meth:`precondition`, :meth:`set_direction`, :meth:`products_of_step` and
-    :meth:`step`, in this order.
+    """Vectors of conjugate gradients, by copies, (n_Γ,): a :class:`~.iteration.KrylovIteration`.
 
     Attributes:
         x: Iterate.
         r: Its residual b − A x, by recursion.
         norm: ‖r‖.
-        z: Preconditioned residual Π M r.
-        rz: rᵀ z.
-        p: Direction.
-        q: A p.
+        error_estimate: η of the iterate before x, which bounds that of x; nan if it has not been
+            estimated along the way.
+        best: Iterate with the smallest residual.
         lanczos: Coefficients and vectors of the iterations before.
     """
 
-    def __init__(self, system: PrimalSystem, start: KrylovStart, stored_iterations: int) -> None:
+    def __init__(
+        self,
+        system: PrimalSystem,
+        start: KrylovStart,
+        *,
+        stored_iterations: int,
+        max_negative_curvatures: int,
+    ) -> None:
         """Create the state at the initial guess.
 
         Args:
             system: A and its preconditioner.
             start: Initial guess and its residual.
             stored_iterations: Largest number of iterations whose vectors are stored.
+            max_negative_curvatures: Largest number of steps along directions of negative curvature.
         """
         self._system = system
-        self._β = 0.0
+        self._negative_curvatures_left = max_negative_curvatures
         self.x = start.x
         self.r = start.r
         self.norm = start.norm
-        self.z = np.zeros_like(start.x)
-        self.rz = np.inf  # makes β = 0 in the first iteration
-        self.p = np.zeros_like(start.x)
-        self.q = np.zeros_like(start.x)
+        self.error_estimate = np.nan
+        self.best = BestIterate(start)
         self.lanczos = _LanczosRecord(stored_iterations, len(start.x))
+        self._z = np.zeros_like(start.x)  # Π M r
+        self._rz = np.nan  # rᵀ z
+        self._last_rz = np.inf  # of the step before; makes β = 0 in the first one
+        self._p = np.zeros_like(start.x)  # direction
 
     @property
     def its(self) -> int:
@@ -189,45 +167,85 @@ class _Recurrences:
         return self.lanczos.iterations
 
     def precondition(self) -> None:
-        """Compute z = Π M r, rᵀ z, and β. Collective."""
-        last_rz = self.rz
-        self.z, self.rz = self._system.precondition(self.r)
-        self._β = self.rz / last_rz
+        """Compute z = Π M r and rᵀ z. Collective."""
+        self._z, self._rz = self._system.precondition(self.r)
 
-    def set_direction(self) -> None:
-        """Compute p = z + β p and q = A p. Collective."""
-        self.p = self.z + self._β * self.p
-        self.q = self._system.apply(self.p)
+    def preconditioned_residual(self) -> Array:
+        """Return z of the iterate, (n_Γ,)."""
+        return self._z
 
-    def products_of_step(self, error_test: InterfaceErrorTest | None) -> _ProductsOfStep:
+    def iterate(self) -> Array:
+        """Return the iterate x, (n_Γ,)."""
+        return self.x
+
+    def step(self, stopping: StoppingTest) -> IterationEnd | None:
+        """Compute p = z + β p and q = A p, and step along p. Collective.
+
+        Args:
+            stopping: Its test of η is used near the target.
+
+        Returns:
+            None after a step, otherwise how the method ends at x.
+        """
+        if self._rz <= 0.0:
+            return IterationEnd(Reason.DIVERGED_INDEFINITE_PC)
+        β = self._rz / self._last_rz
+        self._p = self._z + β * self._p
+        q = self._system.apply(self._p)
+        is_near_target = stopping.target < self.norm <= ESTIMATION_RANGE * stopping.target
+        products = self._products(q, stopping.error_test if is_near_target else None)
+        if products.pq <= 0.0:
+            if not self._system.deflation.proves_indefinite(self._p, products.pq):
+                return FRESH_START
+            if self._negative_curvatures_left == 0:
+                return IterationEnd(Reason.DIVERGED_INDEFINITE_MAT)
+            self._negative_curvatures_left -= 1
+        α = self._rz / products.pq
+        self.lanczos.append(α, β, self.r, self._z, self._rz)
+        self._update(α, q, products)
+        self._last_rz = self._rz
+        return None
+
+    def needs_fresh_start(self, stopping: StoppingTest) -> bool:
+        """Return True if the last iterations have not reduced ‖r‖."""
+        return self.best.is_stagnating(self.its)
+
+    def _products(self, q: Array, error_test: InterfaceErrorTest | None) -> _ProductsOfStep:
         """Compute the scalar products of the iteration, and η, in one reduction. Collective.
 
         Args:
+            q: A p, (n_Γ,).
             error_test: Test of η, which adds two sums to the reduction; None to leave it out.
         """
         copies = self._system.copies
-        pairs = ((self.p, self.q), (self.r, self.r), (self.r, self.q), (self.q, self.q))
+        pairs = ((self._p, q), (self.r, self.r), (self.r, q), (q, q))
         η = np.nan
         if error_test is None:
             pq, rr, rq, qq = copies.dots(*pairs)
         else:
             (pq, rr, rq, qq), squares = copies.dots_and_sums(
-                pairs, error_test.squares(self.z, self.x)
+                pairs, error_test.squares(self._z, self.x)
             )
             η = error_test.estimate_from(squares)
         return _ProductsOfStep(pq=pq, rr=rr, rq=rq, qq=qq, error_estimate=η)
 
-    def step(self, products: _ProductsOfStep) -> None:
-        """Compute x + α p, r − α q and its norm. Collective."""
-        α = self.rz / products.pq
-        self.lanczos.append(α, self._β, self.r, self.z, self.rz)
-        self.x = self.x + α * self.p
-        self.r = self.r - α * self.q
+    def _update(self, α: float, q: Array, products: _ProductsOfStep) -> None:
+        """Compute x + α p, r − α q, its norm, and what is known of x. Collective.
+
+        Args:
+            α: Step length.
+            q: A p, (n_Γ,).
+            products: Scalar products of the step.
+        """
+        self.x = self.x + α * self._p
+        self.r = self.r - α * q
         square = products.rr - α * (2.0 * products.rq - α * products.qq)  # ‖r − α q‖²
         if square > CANCELLATION_SHARE * products.rr:
             self.norm = float(np.sqrt(square))
         else:
             self.norm = self._system.norm(self.r)
+        self.error_estimate = products.error_estimate
+        self.best.update(self.x, self.norm, self.its)
 
 
 class _LanczosRecord:

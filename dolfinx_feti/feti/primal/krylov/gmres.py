@@ -13,8 +13,6 @@ for GMRES method, 2003). An iteration stores two vectors.
 
 from __future__ import annotations
 
-from petsc4py import PETSc
-
 import numpy as np
 import scipy.linalg
 
@@ -22,14 +20,13 @@ from dolfinx_feti.feti.interface.copies import Copies
 from dolfinx_feti.feti.krylov_limits import GMRES_DIRECTIONS
 from dolfinx_feti.feti.monitor import Monitor
 from dolfinx_feti.feti.primal.krylov.base import KrylovBasis, KrylovStart, start_from_coarse_space
+from dolfinx_feti.feti.primal.krylov.iteration import FRESH_START, IterationEnd, iterate
 from dolfinx_feti.feti.primal.stopping import StoppingTest
 from dolfinx_feti.feti.primal.system import PrimalSystem
 from dolfinx_feti.feti.solve_info import KrylovInfo
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import total_of
 from dolfinx_feti.torn.rounding import EPS
-
-Reason = PETSc.KSP.ConvergedReason
 
 
 def gmres(
@@ -49,37 +46,76 @@ def gmres(
     Each iteration preconditions the last column of R only: a residual r = R v has z = Z v.
     """
     start = start_from_coarse_space(system, f, monitor)
-    norm = start.norm
-    max_k = min(stopping.max_it, GMRES_DIRECTIONS)
-    reason = stopping.reason_of_residual(norm, 0)
-    arnoldi = _ArnoldiBasis(system.copies, start, max_k)
-    η = np.nan
-    needs_fresh_start = False
-    while reason == Reason.ITERATING:
-        z, _ = system.precondition(arnoldi.last_column)
-        arnoldi.store(z)
-        if stopping.needs_error_estimate(norm):
-            η = stopping.estimate_error(
-                arnoldi.preconditioned_residual(), start.x + arnoldi.correction()
-            )
-            reason = stopping.reason_of_error(η, arnoldi.k)
-            if reason != Reason.ITERATING:
-                break
-        if arnoldi.k == max_k:
-            needs_fresh_start = True  # ‖r‖ has reached its target, but η has not
-            break
-        if not arnoldi.extend(system.apply(z)):
-            needs_fresh_start = True  # A z is zero: the basis cannot grow
-            break
-        norm = arnoldi.residual_norm()
-        monitor(arnoldi.k, norm)
-        reason = stopping.reason_of_residual(norm, arnoldi.k)
-        if reason == Reason.ITERATING and arnoldi.k == max_k and norm > stopping.target:
-            needs_fresh_start = True  # nothing to measure, so the last column needs no z
-            break
-    x = start.x + arnoldi.correction() if np.isfinite(norm) else start.x
-    basis = arnoldi.basis(stored_iterations)
-    return x, KrylovInfo(reason, arnoldi.k, needs_fresh_start=needs_fresh_start), basis
+    iteration = _Iteration(system, start, max_k=min(stopping.max_it, GMRES_DIRECTIONS))
+    end = iterate(iteration, stopping, monitor)
+    info = KrylovInfo(end.reason, iteration.its, needs_fresh_start=end.needs_fresh_start)
+    x = iteration.iterate() if np.isfinite(iteration.norm) else start.x
+    return x, info, iteration.arnoldi.basis(stored_iterations)
+
+
+class _Iteration:
+    """The iterates of GMRES: a :class:`~.iteration.KrylovIteration`.
+
+    Attributes:
+        norm: ‖r‖.
+        arnoldi: R, Z and H.
+        error_estimate: Always nan: η is not estimated along the way.
+    """
+
+    error_estimate = np.nan
+
+    def __init__(self, system: PrimalSystem, start: KrylovStart, *, max_k: int) -> None:
+        """Begin at the initial guess.
+
+        Args:
+            system: A and its preconditioner.
+            start: Initial guess and its residual.
+            max_k: Largest number of iterations.
+        """
+        self._system = system
+        self._start = start
+        self._max_k = max_k
+        self.norm = start.norm
+        self.arnoldi = _ArnoldiBasis(system.copies, start, max_k)
+
+    @property
+    def its(self) -> int:
+        """Number of iterations."""
+        return self.arnoldi.k
+
+    def precondition(self) -> None:
+        """Compute and store Π M r of the last column r of R. Collective."""
+        z, _ = self._system.precondition(self.arnoldi.last_column)
+        self.arnoldi.store(z)
+
+    def preconditioned_residual(self) -> Array:
+        """Return z of the iterate, (n_Γ,)."""
+        return self.arnoldi.preconditioned_residual()
+
+    def iterate(self) -> Array:
+        """Return the iterate x, (n_Γ,)."""
+        return self._start.x + self.arnoldi.correction()
+
+    def step(self, stopping: StoppingTest) -> IterationEnd | None:
+        """Append A z to the basis. Collective.
+
+        Returns:
+            None after a step, otherwise how the method ends at x.
+        """
+        if self.its == self._max_k:
+            return FRESH_START  # ‖r‖ has reached its target, but η has not
+        if not self.arnoldi.extend(self._system.apply(self.arnoldi.last_preconditioned)):
+            return FRESH_START  # A z is zero: the basis cannot grow
+        self.norm = self.arnoldi.residual_norm()
+        return None
+
+    def needs_fresh_start(self, stopping: StoppingTest) -> bool:
+        """Return True if the basis is full and there is nothing to measure.
+
+        The last column then needs no z. At ``max_it`` iterations the stopping test ends the method.
+        """
+        is_full = self.its == self._max_k < stopping.max_it
+        return is_full and stopping.target < self.norm < np.inf
 
 
 class _ArnoldiBasis:
@@ -114,6 +150,11 @@ class _ArnoldiBasis:
     def last_column(self) -> Array:
         """The last column of R, a unit vector, (n_Γ,)."""
         return self._R[self.k]
+
+    @property
+    def last_preconditioned(self) -> Array:
+        """Stored z = Π M r of the last column r of R, (n_Γ,)."""
+        return self._Z[self.k]
 
     def store(self, z: Array) -> None:
         """Store z = Π M r of the last column r of R, (n_Γ,)."""
