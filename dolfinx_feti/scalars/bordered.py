@@ -75,7 +75,7 @@ SINGULAR_BORDER = (
 
 
 class _MatrixSolver:
-    """Solves with A alone, without the border, to the tolerances of the KSP or to others.
+    """Solves with A alone by the KSP, to its tolerances or to others.
 
     Attributes:
         A: Torn matrix, with the springs.
@@ -106,28 +106,36 @@ class _MatrixSolver:
         context: FETI = self._ksp.getPythonContext()
         return context
 
-    def solve(
-        self, b: Array, *, rtol: float | None = None, atol: float | None = None
-    ) -> tuple[Array, SolveInfo]:
-        """Solve A x = b. Collective.
+    def solve(self, b: Array) -> tuple[Array, SolveInfo]:
+        """Solve A x = b to the tolerances of the KSP. Collective.
 
         Args:
             b: Right-hand side, with prescribed values on Dirichlet dofs, (N,).
-            rtol: Relative tolerance of this solve. If not given, both tolerances are those of the
-                KSP, and ``atol`` has no effect.
+
+        Returns:
+            x, (N,), and how the solve has ended.
+        """
+        x = solve_ksp(self._ksp, self.A, b)
+        info = self.feti.info
+        self.iterations += info.iterations
+        return x, info
+
+    def solve_to(self, b: Array, *, rtol: float, atol: float) -> tuple[Array, SolveInfo]:
+        """Solve A x = b to other tolerances, and set those of the KSP back. Collective.
+
+        Args:
+            b: Right-hand side, (N,).
+            rtol: Relative tolerance of this solve.
             atol: Absolute tolerance of this solve.
 
         Returns:
             x, (N,), and how the solve has ended.
         """
-        tolerances = self._ksp.getTolerances()
-        if rtol is not None:
-            self._ksp.setTolerances(rtol=rtol, atol=atol)
-        x = solve_ksp(self._ksp, self.A, b)
-        self._ksp.setTolerances(*tolerances)
-        info = self.feti.info
-        self.iterations += info.iterations
-        return x, info
+        self._ksp.setTolerances(rtol=rtol, atol=atol)
+        try:
+            return self.solve(b)
+        finally:
+            self._ksp.setTolerances(rtol=self.rtol, atol=self.atol)
 
     def precondition(self, r: Array) -> Array | None:
         """Return z ≈ A⁻¹ r, (N,), by one application of the preconditioner. Collective.
@@ -473,7 +481,7 @@ def _correct_columns(
     allowed = first_rtol * system.B_norms
     for _ in range(MAX_CORRECTIONS):
         for k in np.flatnonzero(_norms(R, system.comm) > allowed):
-            correction, info = solver.solve(R[:, k], rtol=0.0, atol=TARGET_FACTOR * allowed[k])
+            correction, info = solver.solve_to(R[:, k], rtol=0.0, atol=TARGET_FACTOR * allowed[k])
             if info.reason < 0:
                 return None, info
             X[:, k] += correction
@@ -533,7 +541,7 @@ def _refine(
             best = _Refined(x, s, η)
         if not η > error_tolerance or not has_gained:
             break
-        y, info = solver.solve(r, rtol=TARGET_FACTOR * error_tolerance / η, atol=0.0)
+        y, info = solver.solve_to(r, rtol=TARGET_FACTOR * error_tolerance / η, atol=0.0)
         if info.reason < 0:
             break  # the best solution so far is returned
         dx, ds = elimination.solve(y, c)

@@ -197,6 +197,28 @@ def test_last_solution_serves_the_next_matrix(torn_grid, create_ksp):
     agree(solver.iterations < 0.85 * first, (solver.iterations, first))
 
 
+def test_an_error_in_a_solve_for_a_column_leaves_the_tolerances(torn_grid, create_ksp):
+    """Solves for columns of X have tolerances of their own."""
+    problem = torn_grid(**GRID)
+    B, C, D = border(problem, 1)
+    b = np.random.default_rng(1).standard_normal(len(B))
+    ksp = create_ksp(problem.A, ksp_rtol=RTOL, ksp_atol=1e-30)
+    before = ksp.getTolerances()
+    solves = 0
+
+    def fail_in_second_solve(_ksp, its, _rnorm):
+        nonlocal solves
+        if its == 0:
+            solves += 1
+        if solves == 2:
+            raise RuntimeError
+
+    ksp.setMonitor(fail_in_second_solve)
+    with pytest.raises(PETSc.Error):
+        bordered(problem, ksp, b, B, C, D, np.array([0.3]))
+    agree(ksp.getTolerances() == before, f"{ksp.getTolerances()} instead of {before}")
+
+
 @pytest.mark.parametrize("kind", ["twice", "nothing"])
 def test_dependent_constraints(kind, torn_grid, create_ksp):
     problem = torn_grid(**GRID)
