@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import enum
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -58,8 +59,6 @@ class CellCheck:
         self._quadrature_degree = quadrature_degree
         degrees = [p.function_space.ufl_element().embedded_superdegree for p in fields]
         self._has_constant_pressure = any(degree == 0 for degree in degrees)
-        self._samples: CellSamples | None = None
-        self._cannot_be_sampled = False
         self._warned = Warned.NOTHING
 
     def measure(self, dirichlet: npt.NDArray[np.bool_]) -> CellVolumes | None:
@@ -71,19 +70,17 @@ class CellCheck:
         Returns:
             The volumes; None if the ratio has values at quadrature points only.
         """
-        if self._samples is None and not self._cannot_be_sampled:
-            self._samples = self._compiled()
-        if self._samples is None:
-            return None
         samples = self._samples
+        if samples is None:
+            return None
         mesh = self._u.function_space.mesh
         values: CellValues = on_all(samples.evaluate, mesh.comm)
         return summarise_volumes(
             values,
             mesh,
             name="det F" if self._ratio.is_determinant else "volume_ratio",
-            has_size=self._ratio.is_determinant,
-            clamped=self._has_clamped_node(dirichlet),
+            is_determinant=self._ratio.is_determinant,
+            has_clamped_node=self._has_clamped_node(dirichlet),
         )
 
     def advise(self, volumes: CellVolumes) -> list[Advice]:
@@ -113,12 +110,11 @@ class CellCheck:
             comm,
         )
 
-    def _compiled(self) -> CellSamples | None:
-        """Compile the ratio at further points. Collective.
+    @cached_property
+    def _samples(self) -> CellSamples | None:
+        """The ratio at further points, compiled at the first use; collective.
 
-        Returns:
-            The samples; None if the ratio has values at quadrature points only. Later calls of
-            :meth:`measure` then do not try again.
+        None if the ratio has values at quadrature points only.
         """
         V = self._u.function_space
         # that of the energy may be det F_e, with data at quadrature points; else that of the body
@@ -133,7 +129,6 @@ class CellCheck:
                 )
             except ValueError:  # it contains data at quadrature points; on all processes
                 continue
-        self._cannot_be_sampled = True
         return None
 
     def _has_clamped_node(self, dirichlet: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -144,10 +139,10 @@ class CellCheck:
         """
         V = self._u.function_space
         bs = V.dofmap.index_map_bs
-        clamped = dolfinx.la.vector(V.dofmap.index_map, 1)
+        is_clamped = dolfinx.la.vector(V.dofmap.index_map, 1)  # 1 at clamped nodes
         n_owned = V.dofmap.index_map.size_local
-        clamped.array[:n_owned] = dirichlet.reshape(n_owned, bs).all(axis=1)
-        clamped.scatter_forward()
+        is_clamped.array[:n_owned] = dirichlet.reshape(n_owned, bs).all(axis=1)
+        is_clamped.scatter_forward()
         n_cells = V.mesh.topology.index_map(V.mesh.topology.dim).size_local
-        is_clamped = clamped.array[V.dofmap.list[:n_cells]] > 0.5
-        return np.asarray(is_clamped.any(axis=1), dtype=np.bool_)
+        is_clamped_in_cells = is_clamped.array[V.dofmap.list[:n_cells]] > 0.5
+        return np.asarray(is_clamped_in_cells.any(axis=1), dtype=np.bool_)

@@ -139,8 +139,8 @@ def summarise_volumes(
     mesh: dolfinx.mesh.Mesh,
     *,
     name: str,
-    has_size: bool,
-    clamped: npt.NDArray[np.bool_],
+    is_determinant: bool,
+    has_clamped_node: npt.NDArray[np.bool_],
 ) -> CellVolumes:
     """Summarise the volume ratios of all cells of a mesh. Collective.
 
@@ -148,26 +148,26 @@ def summarise_volumes(
         values: Those of the owned cells.
         mesh: The mesh.
         name: The quantity, ``det F`` or ``volume_ratio``.
-        has_size: Whether the values are changes of volume. If not, only their sign has a meaning,
-            and only inverted cells count as distorted.
-        clamped: Whether an owned cell has a node whose whole displacement is prescribed,
-            (n_cells,).
+        is_determinant: Whether the values are changes of volume. If not, only their sign has a
+            meaning, and only inverted cells count as distorted.
+        has_clamped_node: Mask of the owned cells with a node whose whole displacement is
+            prescribed, (n_cells,).
     """
     comm = mesh.comm
     with np.errstate(invalid="ignore"):
-        inverted = ~(values.minimum > 0.0)  # NaN, too
-        distorted = inverted.copy()
-        if has_size:
-            distorted |= ~(values.minimum >= LEAST_RATIO * values.mean)
-            distorted |= ~(values.maximum <= GREATEST_RATIO * values.mean)
-    n_inverted = int(comm.allreduce(int(inverted.sum())))
-    bad = inverted if n_inverted else distorted
-    counts = [len(bad), distorted.sum(), (bad & clamped).sum()]
+        is_inverted = ~(values.minimum > 0.0)  # NaN, too
+        is_distorted = is_inverted.copy()
+        if is_determinant:
+            is_distorted |= ~(values.minimum >= LEAST_RATIO * values.mean)
+            is_distorted |= ~(values.maximum <= GREATEST_RATIO * values.mean)
+    n_inverted = int(comm.allreduce(int(is_inverted.sum())))
+    is_bad = is_inverted if n_inverted else is_distorted
+    counts = [len(is_bad), is_distorted.sum(), (is_bad & has_clamped_node).sum()]
     n_cells, n_distorted, n_clamped = map(int, total_of(np.array(counts, dtype=float), comm))
     low: Point = ()
     high: Point = ()
     if n_inverted or n_distorted:
-        lower, upper = bounding_box(_midpoints(mesh, np.flatnonzero(bad)), comm)
+        lower, upper = bounding_box(_midpoints(mesh, np.flatnonzero(is_bad)), comm)
         low = _point(lower, mesh)
         high = _point(upper, mesh)
     least, worst = _worst_cell(values, mesh)

@@ -22,7 +22,7 @@ from dolfinx_feti.workshop.ellipticity import Ellipticity, least_eigenvalues, sc
 from dolfinx_feti.workshop.fitting import Fit, fit
 from dolfinx_feti.workshop.moduli import Moduli, small_strain_moduli
 from dolfinx_feti.workshop.paths import (
-    MaterialTest,
+    DeformationPath,
     biaxial,
     equibiaxial,
     inflation,
@@ -36,10 +36,10 @@ from dolfinx_feti.workshop.response import DataSet, Response, plot_responses, re
 __all__ = [
     "Check",
     "DataSet",
+    "DeformationPath",
     "Ellipticity",
     "Fit",
     "Material",
-    "MaterialTest",
     "Moduli",
     "Report",
     "Response",

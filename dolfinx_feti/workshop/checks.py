@@ -136,14 +136,14 @@ def _check_identities(states: States, rotated: States, R: Array) -> list[Check]:
     asymmetry = states.A - states.A.transpose(0, 3, 4, 1, 2)
     hint = "write psi in C and J"
 
-    def check(name: str, deviation: Array, note: str = "") -> Check:
+    def compare(name: str, deviation: Array, note: str = "") -> Check:
         return compare_with_bound(name, deviation / scale, F=states.F, note=note)
 
     return [
-        check("frame indifference of the energy", np.abs(rotated.psi - states.psi), hint),
-        check("frame indifference of the stress", _largest(rotated.P - R @ states.P), hint),
-        check("symmetry of the stress", _largest(tau - tau.transpose(0, 2, 1))),
-        check("symmetry of the tangent", _largest(asymmetry)),
+        compare("frame indifference of the energy", np.abs(rotated.psi - states.psi), hint),
+        compare("frame indifference of the stress", _largest(rotated.P - R @ states.P), hint),
+        compare("symmetry of the stress", _largest(tau - tau.transpose(0, 2, 1))),
+        compare("symmetry of the tangent", _largest(asymmetry)),
     ]
 
 
@@ -236,14 +236,17 @@ def state_text(F: Array) -> str:
 
 def check_finite(states: States) -> Check:
     """Return a check that fails if states have values that are not finite."""
-    lost = np.flatnonzero(~states.finite)
-    note = ""
-    if len(lost):
-        parts = {"Ψ": states.psi, "P": states.P, "A": states.A}
-        names = ", ".join(n for n, part in parts.items() if not np.isfinite(part[lost[0]]).all())
-        first = state_text(states.F[lost[0]])
-        note = f"{names} at {len(lost)} of {len(states.F)} states, the first at {first}"
-    return Check("finite values", "fail" if note else "pass", float(len(lost)), 0.0, note)
+    not_finite = np.flatnonzero(~states.finite)
+    if not len(not_finite):
+        return Check("finite values", "pass", 0.0, 0.0)
+    first = not_finite[0]
+    parts = {"Ψ": states.psi, "P": states.P, "A": states.A}
+    names = ", ".join(name for name, part in parts.items() if not np.isfinite(part[first]).all())
+    note = (
+        f"{names} at {len(not_finite)} of {len(states.F)} states, "
+        f"the first at {state_text(states.F[first])}"
+    )
+    return Check("finite values", "fail", float(len(not_finite)), 0.0, note)
 
 
 def _differences(law: Law, F: Array) -> tuple[Array, Array]:

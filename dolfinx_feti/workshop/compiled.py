@@ -121,14 +121,14 @@ class CompiledEnergy:
         all states.
         """
         states = np.tile(np.eye(3), (BATCH, 1, 1))
-        lost = ~np.isfinite(F).all(axis=(1, 2))
-        states[: len(F)][~lost] = F[~lost]
+        is_finite = np.isfinite(F).all(axis=(1, 2))
+        states[: len(F)][is_finite] = F[is_finite]
         self._F.x.array[:] = states.ravel()
         cell = np.zeros(1, dtype=np.int32)
         parts = []
         for rank, expression in zip((0, 2, 4), self._expressions, strict=True):
             values = np.array(expression.eval(self._mesh, cell)).reshape(BATCH, *(3,) * rank)
-            values[: len(F)][lost] = np.nan
+            values[: len(F)][~is_finite] = np.nan
             parts.append(values[: len(F)])
         return parts
 

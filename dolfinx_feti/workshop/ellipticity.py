@@ -22,7 +22,7 @@ import scipy.optimize
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import equilibrate, stiffness_scale
-from dolfinx_feti.workshop.paths import MaterialTest
+from dolfinx_feti.workshop.paths import DeformationPath
 
 __all__ = ["Ellipticity", "least_eigenvalues", "scan_ellipticity"]
 
@@ -44,14 +44,14 @@ DISTANCES = 0.1 * 0.6 ** np.arange(28)
 class Ellipticity:
     """The acoustic tensor along a path."""
 
-    path: MaterialTest  #: The path
+    path: DeformationPath  #: The path
     least: Array  #: Smallest eigenvalues [kPa], (n,); NaN for states without equilibrium
     rest: float  #: Value of the path at the state nearest to the reference
     lost: tuple[float, ...]  #: Values at which ellipticity is first lost below and above rest
 
 
 def scan_ellipticity(
-    material: Material, make_path: Callable[[npt.ArrayLike], MaterialTest], values: npt.ArrayLike
+    material: Material, make_path: Callable[[npt.ArrayLike], DeformationPath], values: npt.ArrayLike
 ) -> Ellipticity:
     """Compute the smallest eigenvalue of the acoustic tensor along a path.
 
@@ -67,23 +67,18 @@ def scan_ellipticity(
     if (np.diff(path.values) <= 0).any():
         raise ValueError(f"values = {values!r}: give them in ascending order.")
     zero = ZERO_EIGENVALUE * stiffness_scale(material)
-
-    # positive where the energy is strongly elliptic
-    def margins(part: MaterialTest) -> Array:
-        return _along(material, part) - zero
-
-    least = margins(path)
+    least = _least_along(material, path)
     rest = int(np.linalg.norm(path.F - np.eye(3), axis=(1, 2)).argmin())
 
-    def margins_at(values: list[float]) -> Array:
-        return margins(make_path(values))
+    def least_at(value: float) -> float:
+        return float(_least_along(material, make_path([value]))[0])
 
     lost = set()
     for side in (np.arange(rest, len(least)), np.arange(rest, -1, -1)):
-        value = _first_loss(margins_at, path.values[side], least[side])
+        value = _first_loss(least_at, path.values[side], least[side], zero)
         if value is not None:
             lost.add(value)
-    return Ellipticity(path, least + zero, float(path.values[rest]), tuple(sorted(lost)))
+    return Ellipticity(path, least, float(path.values[rest]), tuple(sorted(lost)))
 
 
 def least_eigenvalues(F: Array, A: Array, *, incompressible: bool) -> tuple[Array, Array]:
@@ -141,7 +136,7 @@ def _least_of(directions: Array, spatial: Array, *, incompressible: bool) -> tup
     return values[state, best], directions[state, best]
 
 
-def _along(material: Material, path: MaterialTest) -> Array:
+def _least_along(material: Material, path: DeformationPath) -> Array:
     """Return the smallest eigenvalues along a path, (n,); NaN without equilibrium or tangent."""
     F, _ = equilibrate(material, path.F, path.free)
     states = evaluate(material, F)
@@ -162,27 +157,28 @@ def _tangents(n: Array) -> Array:
 
 
 def _first_loss(
-    margins: Callable[[list[float]], Array], values: Array, margins_at_values: Array
+    least_at: Callable[[float], float], values: Array, least: Array, zero: float
 ) -> float | None:
-    """Return the value of a path at which the margin of ellipticity first vanishes.
+    """Return the value of a path at which the energy first ceases to be strongly elliptic.
 
     Args:
-        margins: The margins at any values.
+        least_at: Smallest eigenvalue of the acoustic tensor [kPa] at any value of the path.
         values: Values of the path, from rest on, (n,).
-        margins_at_values: The margins there, (n,).
+        least: Smallest eigenvalues there [kPa], (n,).
+        zero: Eigenvalue up to which ellipticity is lost [kPa].
 
     Returns:
-        The value; None if the margin is positive up to the end, or to a state without equilibrium.
+        The value; None if the energy is elliptic up to the end, or to a state without equilibrium.
     """
-    is_lost = ~(margins_at_values > 0)
+    is_lost = ~(least > zero)
     k = int(is_lost.argmax())
-    if not is_lost[k] or np.isnan(margins_at_values[k]):
+    if not is_lost[k] or np.isnan(least[k]):
         return None
     if k == 0:
         return float(values[0])
 
     def margin(value: float) -> float:
-        return float(margins([value])[0])
+        return least_at(value) - zero
 
     try:
         return float(scipy.optimize.brentq(margin, values[k - 1], values[k], xtol=1e-9))

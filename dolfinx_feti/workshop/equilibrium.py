@@ -48,6 +48,10 @@ SUFFICIENT_DECREASE = 1e-4
 #: Volume ratio up to which a trial state is rejected: St Venant–Kirchhoff's energy allows collapse.
 MIN_VOLUME_RATIO = 1e-6
 
+#: Lower bound of Σ_k (D_k : cof F)² in the first guess of p, against a division by zero: the sum is
+#: zero if no free entry changes the volume, and at least 1 at rest if a normal entry is free.
+MIN_VOLUME_DERIVATIVE = 1e-6
+
 #: ε_ijk, the permutation symbol.
 PERMUTATION = np.linalg.det(np.eye(3)[np.indices((3, 3, 3)).transpose(1, 2, 3, 0)]).round()
 
@@ -96,7 +100,7 @@ class _Balance:
             volume = _entries(cof, self.free)  # D_k : cof F
             # p_best minimises ‖r + p/scale volume‖; the bound prevents a division by zero
             p_best = -self.scale * (r * volume).sum(axis=1)
-            p_best /= np.maximum((volume**2).sum(axis=1), MIN_VOLUME_RATIO)
+            p_best /= np.maximum((volume**2).sum(axis=1), MIN_VOLUME_DERIVATIVE)
             p = np.where(np.isnan(p), p_best, p)
             J = np.einsum("nij,nij->n", cof, F) / 3
             r = r + (p / self.scale)[:, None] * volume

@@ -35,7 +35,7 @@ from dolfinx_feti.runtime.arrays import Array
 
 __all__ = [
     "STANDARD_PATHS",
-    "MaterialTest",
+    "DeformationPath",
     "biaxial",
     "equibiaxial",
     "inflation",
@@ -58,8 +58,8 @@ OUT_OF_PLANE = ((2, 2), (0, 2), (1, 2))
 
 
 @dataclass(frozen=True, slots=True)
-class MaterialTest:
-    """A material test: a path of homogeneous deformations."""
+class DeformationPath:
+    """A path of homogeneous deformations, those of a material test one after the other."""
 
     name: str  #: Name of the test
     symbol: str  #: Letter of its values, λ or γ
@@ -70,7 +70,7 @@ class MaterialTest:
     measured: tuple[tuple[int, int], ...]  #: Indices of the stresses that a test measures
 
 
-def uniaxial(stretch: npt.ArrayLike, *, along: Sequence[float] = E1) -> MaterialTest:
+def uniaxial(stretch: npt.ArrayLike, *, along: Sequence[float] = E1) -> DeformationPath:
     """Uniaxial tension or compression.
 
     Args:
@@ -95,7 +95,7 @@ def biaxial(
     along: Sequence[float] = E1,
     across: Sequence[float] = E2,
     name: str = "biaxial",
-) -> MaterialTest:
+) -> DeformationPath:
     """Biaxial tension of a sheet.
 
     Args:
@@ -121,7 +121,7 @@ def biaxial(
 
 def equibiaxial(
     stretch: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
-) -> MaterialTest:
+) -> DeformationPath:
     """Equibiaxial tension of a sheet.
 
     Args:
@@ -137,7 +137,7 @@ def equibiaxial(
 
 def pure_shear(
     stretch: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
-) -> MaterialTest:
+) -> DeformationPath:
     """Tension of a wide sheet of constant width (planar tension).
 
     Args:
@@ -157,7 +157,7 @@ def inflation(
     axial: float = 1.1,
     along: Sequence[float] = E1,
     across: Sequence[float] = E2,
-) -> MaterialTest:
+) -> DeformationPath:
     """Inflation of a thin tube with circumference e₁ at a fixed axial stretch along e₂.
 
     Args:
@@ -175,7 +175,7 @@ def inflation(
 
 def simple_shear(
     shear: npt.ArrayLike, *, along: Sequence[float] = E1, across: Sequence[float] = E2
-) -> MaterialTest:
+) -> DeformationPath:
     """Simple shear F = I + γ e₁ ⊗ e₂, with F₃₃ free.
 
     Args:
@@ -193,7 +193,7 @@ def simple_shear(
 
 
 #: The paths of :func:`~dolfinx_feti.workshop.report.check`, by the symbol of their values.
-STANDARD_PATHS: Mapping[str, tuple[Callable[[npt.ArrayLike], MaterialTest], ...]] = {
+STANDARD_PATHS: Mapping[str, tuple[Callable[[npt.ArrayLike], DeformationPath], ...]] = {
     "λ": (uniaxial, equibiaxial, pure_shear, inflation),
     "γ": (simple_shear,),
 }
@@ -207,7 +207,7 @@ def _path(
     free: Sequence[tuple[int, int]],
     directions: tuple[npt.ArrayLike, npt.ArrayLike],
     measured: tuple[tuple[int, int], ...],
-) -> MaterialTest:
+) -> DeformationPath:
     """Return a path.
 
     Args:
@@ -229,7 +229,7 @@ def _path(
     R = np.column_stack((e1, e2, np.cross(e1, e2)))
     units = np.zeros((len(free), 3, 3))
     units[np.arange(len(free)), *np.transpose(free)] = 1.0
-    return MaterialTest(name, symbol, values, R @ F @ R.T, R @ units @ R.T, R, measured)
+    return DeformationPath(name, symbol, values, R @ F @ R.T, R @ units @ R.T, R, measured)
 
 
 def _unit(name: str, direction: npt.ArrayLike) -> Array:

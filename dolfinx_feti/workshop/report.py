@@ -18,7 +18,7 @@ from dolfinx_feti.workshop.checks import Check, Law, check_law, state_text
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, scan_ellipticity
 from dolfinx_feti.workshop.moduli import ZERO_STIFFNESS, Moduli, small_strain_moduli
-from dolfinx_feti.workshop.paths import STANDARD_PATHS, MaterialTest
+from dolfinx_feti.workshop.paths import STANDARD_PATHS, DeformationPath
 
 __all__ = ["Report", "check"]
 
@@ -88,7 +88,7 @@ def check(
     return Report(material, tuple(checks), moduli, scans)
 
 
-def _check_finite_along(law: Law, paths: Sequence[MaterialTest]) -> Check:
+def _check_finite_along(law: Law, paths: Sequence[DeformationPath]) -> Check:
     """Check that all values are finite along the paths, with guesses of the free entries."""
     not_finite = [(path, k) for path in paths for k in np.flatnonzero(~law(path.F).finite)]
     name = "finite values along the paths"
@@ -117,9 +117,9 @@ def _check_stiffness(moduli: Moduli) -> Check:
 def _check_ellipticity(scan: Ellipticity) -> Check:
     """Check that a path stays elliptic; a loss at rest is a failure, one further on a warning."""
     path = scan.path
-    missing = np.isnan(scan.least)
+    has_no_equilibrium = np.isnan(scan.least)
     name = f"strongly elliptic, {path.name}"
-    if missing.all():
+    if has_no_equilibrium.all():
         return Check(name, "fail", None, None, "no equilibrium at any state")
     k = int(np.nanargmin(scan.least))
     outcome = "pass"
@@ -127,11 +127,11 @@ def _check_ellipticity(scan: Ellipticity) -> Check:
     if scan.lost:
         outcome = "fail" if scan.rest in scan.lost else "warn"
         notes.append("lost at " + " and ".join(format_value(path.symbol, v) for v in scan.lost))
-    if missing.any():
-        lost = path.values[missing]
-        nearest = format_value(path.symbol, lost[np.abs(lost - scan.rest).argmin()])
+    if has_no_equilibrium.any():
+        values = path.values[has_no_equilibrium]
+        nearest = format_value(path.symbol, values[np.abs(values - scan.rest).argmin()])
         outcome = "fail" if outcome == "fail" else "warn"
-        notes.append(f"no equilibrium at {len(lost)} states, the nearest at {nearest}")
+        notes.append(f"no equilibrium at {len(values)} states, the nearest at {nearest}")
     return Check(name, outcome, float(scan.least[k]), None, "; ".join(notes))
 
 

@@ -20,7 +20,7 @@ from dolfinx_feti.mechanics.values import require_positive, require_type
 from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import cofactor, equilibrate
-from dolfinx_feti.workshop.paths import MaterialTest
+from dolfinx_feti.workshop.paths import DeformationPath
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,7 +40,7 @@ class Response:
     States without equilibrium have NaN.
     """
 
-    path: MaterialTest  #: The path
+    path: DeformationPath  #: The path
     F: Array  #: Deformation gradients, (n, 3, 3)
     p: Array  #: Pressures, positive in tension [kPa], (n,); zero for a complete energy
     psi: Array  #: Energies per unit reference volume, with κ/2 (J − 1)² [kPa], (n,)
@@ -63,14 +63,14 @@ class Response:
         return np.asarray(self.P @ self.F.transpose(0, 2, 1) / self.J[:, None, None])
 
 
-def respond(material: Material, path: MaterialTest) -> Response:
+def respond(material: Material, path: DeformationPath) -> Response:
     """Compute the stresses along a path.
 
     Raises:
         ValueError: The material is incompressible, and the path has no free entries.
     """
     require_type(Material, material=material)
-    require_type(MaterialTest, path=path)
+    require_type(DeformationPath, path=path)
     F, p = equilibrate(material, path.F, path.free)
     R = path.frame
     states = evaluate(material, F)
@@ -88,7 +88,7 @@ class DataSet:
             the weight is not positive.
     """
 
-    path: MaterialTest  #: The path, with one state per measurement
+    path: DeformationPath  #: The path, with one state per measurement
     #: Measured [kPa], (n, k), or (n,) if k = 1: σ₁₁ of a uniaxial path, σ₁₁ and σ₂₂ of a biaxial
     #: one, σ₁₂ of shear
     stress: Array
