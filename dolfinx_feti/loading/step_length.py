@@ -94,7 +94,9 @@ class StepLengthRule(ABC, Generic[Step]):
     def restore(self, record: Mapping[str, float]) -> None:
         """Set the rule to the state that :meth:`record` has returned.
 
-        The checkpoint may be that of a run with another rule: read further entries by ``get``.
+        Raises:
+            KeyError: Another rule wrote the record, which lacks what this one remembers. A restart
+                reports it as a ValueError with a remedy, and changes nothing.
         """
         self.present = record["present"]
 

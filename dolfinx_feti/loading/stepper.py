@@ -330,13 +330,13 @@ class Stepper(ABC, Generic[Step]):
             The steps that led there, and the targets that are still to be met.
 
         Raises:
-            ValueError: The checkpoint was written by another function, or is one of another
-                problem.
+            ValueError: The checkpoint was written by another function or with another rule for the
+                lengths, or is one of another problem. The state is left as it was.
         """
         record: dict[str, Any] = checkpoint.record or {}
         accepted = self._read_steps(record, checkpoint)
+        on_all(lambda: self._restore_length(record, checkpoint), self._comm)
         self.state.read(checkpoint)
-        self.length.restore(record["length"])
         self._reached = record["reached"]
         is_loose = bool(record["is_loose"])
         remaining = self._unmet(targets, tolerance)
@@ -366,6 +366,22 @@ class Stepper(ABC, Generic[Step]):
             return [read_step(step, self._step_type) for step in record["steps"]]
         except (KeyError, TypeError) as error:
             raise foreign from error
+
+    def _restore_length(self, record: Mapping[str, Any], checkpoint: Checkpoint) -> None:
+        """Set the rule for the lengths to that of a record.
+
+        Raises:
+            ValueError: Another rule wrote the record, which lacks what this one remembers.
+        """
+        try:
+            self.length.restore(record["length"])
+        except KeyError as error:
+            raise ValueError(
+                f"The checkpoint in {checkpoint.folder} holds no {error}, which "
+                f"{type(self.length).__name__} remembers from step to step: it was written with "
+                "another rule for the lengths of steps. Restart with the settings of steps that "
+                "wrote it, or name another folder."
+            ) from error
 
     def _unmet(self, targets: Sequence[float], tolerance: PlaceTolerance) -> list[float]:
         """Return the targets without those that were met, in their order, before a restart."""

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from mpi4py import MPI
@@ -31,6 +32,7 @@ from dolfinx_feti.loading import (
     follow_load,
     follow_time,
 )
+from dolfinx_feti.loading.step_length import StepLengthRule
 from dolfinx_feti.runtime.compat import interpolation_points
 
 STEPS = Steps(first=0.5, least=0.1, growth=1.0)
@@ -59,8 +61,10 @@ class Pulled:
     def set_load(self, load: float) -> None:
         self.load.value = load
 
-    def follow(self, targets: list[float], checkpoint: Checkpoint | None = None):
-        return follow_load(self.problem(), self.set_load, targets, STEPS, checkpoint=checkpoint)
+    def follow(
+        self, targets: list[float], checkpoint: Checkpoint | None = None, steps: Steps = STEPS
+    ):
+        return follow_load(self.problem(), self.set_load, targets, steps, checkpoint=checkpoint)
 
 
 @pytest.mark.parametrize(
@@ -245,3 +249,42 @@ def test_a_foreign_record(tmp_path):
         with raises(ValueError, "not written by follow_load of this version: name another folder"):
             follow(tmp_path / name, 2.0, restart=True, body=body)
         agree(not body.u.x.array.any() and body.load.value == 0.0)
+
+
+class Alternating(StepLengthRule[LoadStep]):
+    """A rule of a script that remembers more than a length: long and short steps take turns."""
+
+    def __init__(self, first, least):
+        super().__init__(first, least)
+        self.is_long = True
+
+    def adapt(self, step, *, n_updates):
+        self.present *= 0.5 if self.is_long else 2.0
+        self.is_long = not self.is_long
+
+    def record(self):
+        return {**super().record(), "is_long": self.is_long}
+
+    def restore(self, record):
+        super().restore(record)
+        self.is_long = record["is_long"]
+
+
+@dataclass(frozen=True)
+class AlternatingSteps(Steps):
+    def length_rule(self):
+        return Alternating(self.first, self.least)
+
+
+def test_a_record_of_another_step_length_rule(tmp_path):
+    """It lacks what the rule remembers: nothing is touched. A rule reads a record of its own."""
+    Pulled().follow([0.5], Checkpoint(tmp_path / "usual", COMM))
+    steps = AlternatingSteps(first=0.5, least=0.1)
+    body = Pulled()
+    checkpoint = Checkpoint(tmp_path / "usual", COMM, restart=True)
+    with raises(ValueError, "'is_long', which Alternating .* name another folder"):
+        body.follow([0.5, 1.0], checkpoint, steps)
+    agree(not body.u.x.array.any() and body.load.value == 0.0)
+    Pulled().follow([0.5], Checkpoint(tmp_path / "own", COMM), steps)
+    again = Pulled().follow([0.5, 1.0], Checkpoint(tmp_path / "own", COMM, restart=True), steps)
+    agree([step.load for step in again] == [0.5, 0.75, 1.0], [step.load for step in again])
