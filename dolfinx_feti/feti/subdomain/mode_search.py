@@ -258,26 +258,19 @@ def _complete_modes(
         The modes of the matrix before it was scaled.
     """
     K = K_ρ.K
-    n_i, k = K_ρ.R.shape
-    null = K_ρ.R[:, n_rigid : n_rigid + n_null]
-    has_buckling_modes = k > n_rigid + n_null
+    has_buckling_modes = K_ρ.R.shape[1] > n_rigid + n_null
     is_kernel = (
         not has_buckling_modes
         and rigid_force <= MAX_RIGID_FORCE * K_ρ.rho
-        and _is_mapped_to_rounding(K, null)
+        and _is_mapped_to_rounding(K, null=K_ρ.R[:, n_rigid:])
     )
     if is_kernel:
         E = K_ρ.R
-        D: Array = np.zeros((k, k))
+        D: Array = np.zeros((E.shape[1], E.shape[1]))
     else:
         E, D = _displacements_and_defect(K_ρ)
     is_softened = _is_softened(K, D)
-    Y: Array = np.zeros((n_i, 0))
-    # Adaptive columns contain the soft modes unless stress softens the subdomain, or a mode is too
-    # soft for them: random vectors then grow much in a solve.
-    is_well_conditioned = K_ρ.factor.is_well_conditioned
-    if not options.allow_omission or is_softened or not is_well_conditioned:
-        Y = _orthonormal_soft_modes(K_ρ, options)
+    Y = _find_soft_modes(K_ρ, options, is_softened=is_softened)
     if Y.shape[1]:
         E, D = append_soft_modes(E, D, Y, K_ρ.solve(Y), K_ρ.rho)
     # R and Y are transformed like forces, E like displacements.
@@ -326,9 +319,22 @@ def _is_softened(K: ScaledMatrix, D: Array) -> bool:
     return bool(lowest < -MIN_SOFTENING * K.stiffness[is_glued].mean())
 
 
-def _orthonormal_soft_modes(K_ρ: RegularisedMatrix, options: SoftModeOptions) -> Array:
-    """Return orthonormal soft modes that are orthogonal to R, (n_i, k_Y)."""
+def _find_soft_modes(
+    K_ρ: RegularisedMatrix, options: SoftModeOptions, *, is_softened: bool
+) -> Array:
+    """Return orthonormal soft modes that are orthogonal to R, (n_i, k_Y).
+
+    There are none if adaptive columns contain them. They do not if stress softens the subdomain, or
+    if a mode is too soft for them, so that random vectors grow much in a solve.
+
+    Args:
+        K_ρ: The matrix.
+        options: Which soft modes are wanted.
+        is_softened: Whether stress softens the subdomain.
+    """
     R = K_ρ.R
+    if options.allow_omission and not is_softened and K_ρ.factor.is_well_conditioned:
+        return np.zeros((len(R), 0))
     modes = soft_modes(K_ρ.solve, K_ρ.K.stiffness, options.max_count, options.threshold)
     return append_orthonormal(R, modes)[:, R.shape[1] :]
 
