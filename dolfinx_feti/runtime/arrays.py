@@ -24,6 +24,10 @@ Numbers: TypeAlias = npt.NDArray[np.int64]
 Integers: TypeAlias = npt.NDArray[np.integer]
 Mask: TypeAlias = npt.NDArray[np.bool_]
 
+#: The result of local work in an iteration: NaN if the work failed. A ``collective.DeferredErrors``
+#: has the error until the iteration ends. A function that returns an ``Array`` raises its errors.
+ArrayOrNaN: TypeAlias = Array
+
 #: A linear map of columns, (n, r) → (n, r), such as the product or a solve with a matrix.
 ColumnMap: TypeAlias = Callable[[Array], Array]
 

@@ -21,7 +21,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.runtime.arrays import Array, ArrayOrNaN
 
 T = TypeVar("T")
 logger = logging.getLogger("dolfinx_feti")
@@ -101,7 +101,7 @@ class DeferredErrors:
     def __init__(self) -> None:
         self._errors: list[Exception] = []
 
-    def guard(self, work: Callable[[], Any], shape: int | tuple[int, ...]) -> Array:
+    def guard(self, work: Callable[[], Any], shape: int | tuple[int, ...]) -> ArrayOrNaN:
         """Return the result of local work; NaN if it fails.
 
         Args:

@@ -29,7 +29,7 @@ from dolfinx_feti.feti.subdomain.orthonormal import orthonormal
 from dolfinx_feti.feti.subdomain.scaled import scale_matrix
 from dolfinx_feti.feti.subdomain.schur_operator import FormedSchurOperator, SchurOperator
 from dolfinx_feti.feti.subdomain.subdomain import Subdomain, interface_dofs
-from dolfinx_feti.runtime.arrays import Array, Indices, Mask
+from dolfinx_feti.runtime.arrays import Array, ArrayOrNaN, Indices, Mask
 from dolfinx_feti.runtime.collective import DeferredErrors
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
@@ -110,6 +110,8 @@ class LocalInverse:
 class GeneralizedInverse:
     """K⁺ of all subdomains of this process, block-diagonal, and K_ρ⁻¹.
 
+    The methods for iterations return an ``ArrayOrNaN``; the others raise their errors.
+
     Attributes:
         blocks: K_i⁺ of each subdomain.
     """
@@ -119,7 +121,7 @@ class GeneralizedInverse:
 
         Args:
             blocks: K_i⁺ of each subdomain.
-            errors: Store for the errors of solves in iterations, which return NaN instead.
+            errors: Store for the errors of the methods for iterations.
         """
         self.blocks = tuple(blocks)
         self._errors = errors
@@ -145,11 +147,11 @@ class GeneralizedInverse:
         """Whether a factor of this process is in single precision."""
         return any(inverse.factor.is_single_precision for inverse in self.blocks)
 
-    def solve(self, y: Array) -> Array:
+    def solve(self, y: Array) -> ArrayOrNaN:
         """Return K⁺ y, (n,), or K⁺ Y, (n, r), for torn vectors.
 
         The result is zero on dofs that have no row in a block: on fixed dofs and, if the interior
-        is eliminated, on interior ones. It is NaN if a solve fails.
+        is eliminated, on interior ones.
         """
 
         def solve() -> Array:
@@ -163,19 +165,18 @@ class GeneralizedInverse:
             return self._errors.guard(solve, y.shape)
 
     def solve_on_interface(self, F: Array) -> Array:
-        """Return K⁺ F restricted to the interface, (n_Γ, r) → (n_Γ, r); raise errors of solves."""
+        """Return K⁺ F restricted to the interface, (n_Γ, r) → (n_Γ, r)."""
         X = np.empty_like(F)
         for inverse in self.blocks:
             rows = inverse.subdomain.interface_rows
             X[rows] = inverse.solve_on_interface(F[rows])  # K_i⁺ F_i
         return X
 
-    def solve_regularised_on_interface(self, t: Array) -> Array:
+    def solve_regularised_on_interface(self, t: Array) -> ArrayOrNaN:
         """Return K_ρ⁻¹ t restricted to the interface, for an interface vector, (n_Γ,) → (n_Γ,).
 
         This takes less time than K⁺ t, and differs from it by a combination of the columns of E_Y.
-        A projection whose coarse space contains E_Y removes the difference. The result is NaN if a
-        solve fails.
+        A projection whose coarse space contains E_Y removes the difference.
         """
 
         def solve() -> Array:

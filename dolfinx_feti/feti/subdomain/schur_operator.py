@@ -33,7 +33,7 @@ from dolfinx_feti.feti.subdomain.schur import (
     SchurComplement,
 )
 from dolfinx_feti.feti.subdomain.subdomain import Subdomain, interface_dofs
-from dolfinx_feti.runtime.arrays import Array, Indices
+from dolfinx_feti.runtime.arrays import Array, ArrayOrNaN, Indices
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_library import product
@@ -43,9 +43,8 @@ from dolfinx_feti.torn.matrix import Torn
 class SchurOperator(ABC):
     """S of all subdomains of this process, block-diagonal, and the solves with K_II.
 
-    It is valid until the entries of ``torn.K`` change. Iterations call ``multiply``,
-    ``multiply_on_interface``, ``interface_load`` and ``extend``: if one of these fails, it returns
-    NaN, and ``torn.errors`` has the error. ``multiply_columns`` raises its error.
+    It is valid until the entries of ``torn.K`` change. The methods for iterations, which return an
+    ``ArrayOrNaN``, store their errors in ``torn.errors``; the others raise them.
 
     Attributes:
         torn: The torn matrix.
@@ -72,7 +71,7 @@ class SchurOperator(ABC):
         """Γ of each subdomain, (n_{Γ,i},) each."""
         return [S_i.subdomain.interface for S_i in self.blocks]
 
-    def multiply(self, t: Array) -> Array:
+    def multiply(self, t: Array) -> ArrayOrNaN:
         """Return S t, (n,) → (n,), for a t that is zero off the interface."""
 
         def product_on_torn_dofs() -> Array:
@@ -83,7 +82,7 @@ class SchurOperator(ABC):
         with event("FETISchurProduct"):
             return self.torn.errors.guard(product_on_torn_dofs, t.shape)
 
-    def multiply_on_interface(self, t: Array) -> Array:
+    def multiply_on_interface(self, t: Array) -> ArrayOrNaN:
         """Return S t for an interface vector, (n_Γ,) → (n_Γ,)."""
         with event("FETISchurProduct"):
             return self.torn.errors.guard(lambda: self._multiply_on_interface(t), t.shape)
@@ -93,14 +92,14 @@ class SchurOperator(ABC):
         """Return S t for an interface vector, (n_Γ,) → (n_Γ,); raise an error if it fails."""
 
     def multiply_columns(self, X: Array, *, transpose: bool = False) -> Array:
-        """Return S X, or Sᵀ X, for interface vectors, (n_Γ, r); raise an error if it fails."""
+        """Return S X, or Sᵀ X, for interface vectors, (n_Γ, r)."""
         SX = np.empty_like(X)
         for S_i in self.blocks:
             rows = S_i.subdomain.interface_rows
             SX[rows] = S_i.multiply(X[rows], transpose=transpose)  # S_i X_i
         return SX
 
-    def interface_load(self, f: Array) -> Array:
+    def interface_load(self, f: Array) -> ArrayOrNaN:
         """Return the load of the interface with the interior eliminated, (n,).
 
         It is f̂_Γ = f_Γ − K_ΓI K_II⁻¹ f_I for a load f, (n,), and zero off the interface.
@@ -112,7 +111,7 @@ class SchurOperator(ABC):
 
         return self.torn.errors.guard(condensed_load, f.shape)
 
-    def extend(self, u: Array, f: Array) -> Array:
+    def extend(self, u: Array, f: Array) -> ArrayOrNaN:
         """Extend a displacement of the interface to the interior, u_I = K_II⁻¹ (f_I − K_IΓ u_Γ).
 
         Args:
