@@ -22,7 +22,7 @@ from dolfinx_feti.feti.subdomain.analysis import Analysis
 from dolfinx_feti.feti.subdomain.blocks import as_slice
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, sum_counts
 from dolfinx_feti.feti.subdomain.failures import NumberedErrors, on_subdomains
-from dolfinx_feti.feti.subdomain.matrix import LocalMatrix, create_subdomain_matrices
+from dolfinx_feti.feti.subdomain.matrix import SubdomainMatrix, create_sparse_matrices
 from dolfinx_feti.feti.subdomain.mode_search import SoftModeOptions, find_modes
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes, rigid_modes
 from dolfinx_feti.feti.subdomain.orthonormal import orthonormal
@@ -36,7 +36,7 @@ from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 
 
-class LocalInverse:
+class SubdomainInverse:
     """K_i⁺ of one subdomain, or S_i⁺ if the interior is eliminated, (n_i, n_i).
 
     It owns the factor, and does not refer to the matrix: it may precondition later ones.
@@ -49,7 +49,7 @@ class LocalInverse:
         factor: Factor of K_ρ.
     """
 
-    def __init__(self, matrix: LocalMatrix, factor: Factor, modes: SubdomainModes) -> None:
+    def __init__(self, matrix: SubdomainMatrix, factor: Factor, modes: SubdomainModes) -> None:
         """Copy the dofs of a matrix, and take over the factor of its K_ρ.
 
         Args:
@@ -116,7 +116,7 @@ class GeneralizedInverse:
         blocks: K_i⁺ of each subdomain.
     """
 
-    def __init__(self, blocks: Sequence[LocalInverse], errors: DeferredErrors) -> None:
+    def __init__(self, blocks: Sequence[SubdomainInverse], errors: DeferredErrors) -> None:
         """Take over the inverses of all subdomains of this process.
 
         Args:
@@ -235,11 +235,11 @@ def create_generalized_inverse(
     interface = interface_dofs(analysis.subdomains)
     stiffness = np.zeros(torn.n)  # k_Γ on the interface, zero elsewhere
     stiffness[interface] = torn.stiffness()[interface]
-    rigid = [rigid_modes(near_kernel[s.dofs], fixed[s.dofs]) for s in analysis.subdomains]
+    rigid = [rigid_modes(near_kernel[s.all_dofs], fixed[s.all_dofs]) for s in analysis.subdomains]
     rigid_forces = _estimate_rigid_forces(torn, analysis.subdomains, rigid)
     blocks = []
     with Lifetime() as inverses:  # destroyed if a later subdomain fails
-        matrices = local_matrices(S, analysis)
+        matrices = subdomain_matrices(S, analysis)
         for matrix, R, rigid_force in zip(matrices, rigid, rigid_forces, strict=True):
             s = matrix.subdomain
             with NumberedErrors(s.number):
@@ -250,16 +250,16 @@ def create_generalized_inverse(
                     matrix, stiffness[matrix.dofs], allow_single_precision=allow_single_precision
                 )
                 factor, modes = find_modes(scaled, scaled.scale_modes(R), rigid_force, options)
-            blocks.append(inverses.own(LocalInverse(matrix, factor, modes)))
+            blocks.append(inverses.own(SubdomainInverse(matrix, factor, modes)))
         inverses.release()  # the generalised inverse owns them
     return GeneralizedInverse(blocks, torn.errors)
 
 
-def local_matrices(S: SchurOperator, analysis: Analysis) -> Sequence[LocalMatrix]:
+def subdomain_matrices(S: SchurOperator, analysis: Analysis) -> Sequence[SubdomainMatrix]:
     """Return the matrices that K⁺ inverts: all S_i if the interior is eliminated, else all K_i."""
     if isinstance(S, FormedSchurOperator):
         return S.blocks
-    return create_subdomain_matrices(S.torn, analysis)
+    return create_sparse_matrices(S.torn, analysis)
 
 
 def _estimate_rigid_forces(

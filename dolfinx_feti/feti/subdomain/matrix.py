@@ -23,7 +23,7 @@ from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.torn.matrix import Torn
 
 
-class LocalMatrix(Protocol):
+class SubdomainMatrix(Protocol):
     """K_i of one subdomain, (n_i, n_i), or S_i, (n_{Γ,i}, n_{Γ,i}).
 
     Below it is called K, and the number of its rows n_i. It is valid until the entries of
@@ -36,7 +36,7 @@ class LocalMatrix(Protocol):
 
     @property
     def dofs(self) -> Indices:
-        """Torn dofs of its rows, (n_i,): the free ones or Γ, unlike ``Subdomain.dofs``."""
+        """Torn dofs of its rows, (n_i,): the free ones of the subdomain, or Γ."""
 
     @property
     def diagonal_of_K(self) -> Array:
@@ -73,8 +73,8 @@ class LocalMatrix(Protocol):
         """
 
 
-class SubdomainMatrix:
-    """K_i of one subdomain, sparse: a :class:`LocalMatrix`.
+class SparseSubdomainMatrix:
+    """K_i of one subdomain, sparse: a :class:`SubdomainMatrix`.
 
     Attributes:
         subdomain: The subdomain.
@@ -105,7 +105,7 @@ class SubdomainMatrix:
     def factor(
         self, R: Array, rho: float, shift: Array | None = None, *, is_graded: bool = False
     ) -> Factor:
-        """Factor K_i + ρ R Rᵀ + diag(shift); see :class:`LocalMatrix`."""
+        """Factor K_i + ρ R Rᵀ + diag(shift); see :class:`SubdomainMatrix`."""
         return factor_sparse(self._block, R, rho, shift, is_graded=is_graded)
 
     def factor_for_preconditioner(self, R: Array, rho: float) -> Factor:
@@ -113,7 +113,7 @@ class SubdomainMatrix:
         return self.factor(R, rho)
 
 
-def create_subdomain_matrices(torn: Torn, analysis: Analysis) -> list[SubdomainMatrix]:
+def create_sparse_matrices(torn: Torn, analysis: Analysis) -> list[SparseSubdomainMatrix]:
     """Create K_i of each subdomain of this process.
 
     Args:
@@ -128,5 +128,5 @@ def create_subdomain_matrices(torn: Torn, analysis: Analysis) -> list[SubdomainM
         K_i = SparseBlock(
             torn.K, s.free_dofs, analysis.local_options, analysed.local_symbolic, work
         )
-        matrices.append(SubdomainMatrix(s, K_i, diagonal[s.free_dofs]))
+        matrices.append(SparseSubdomainMatrix(s, K_i, diagonal[s.free_dofs]))
     return matrices

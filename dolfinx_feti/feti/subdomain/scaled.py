@@ -22,7 +22,7 @@ import numpy as np
 from dolfinx_feti.feti.subdomain.factors.cholesky import SINGLE_ROUNDING
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, FactorInertia
 from dolfinx_feti.feti.subdomain.kernel_detection import EXACTLY_NULL, NEARLY_NULL, NullTolerances
-from dolfinx_feti.feti.subdomain.matrix import LocalMatrix
+from dolfinx_feti.feti.subdomain.matrix import SubdomainMatrix
 from dolfinx_feti.feti.subdomain.null_vectors import growth, is_numerically_singular, null_vectors
 from dolfinx_feti.feti.subdomain.orthonormal import orthonormal
 from dolfinx_feti.runtime.arrays import Array
@@ -92,7 +92,7 @@ class ScaledMatrix:
         allow_single_precision: Whether a factor for a preconditioner may be in single precision.
     """
 
-    matrix: LocalMatrix
+    matrix: SubdomainMatrix
     scale: Array | None
     diagonal_of_K: Array
     stiffness: Array
@@ -173,7 +173,7 @@ def _multiply_rows(scale: Array | None, X: Array) -> Array:
 
 
 def scale_matrix(
-    matrix: LocalMatrix, stiffness: Array, *, allow_single_precision: bool
+    matrix: SubdomainMatrix, stiffness: Array, *, allow_single_precision: bool
 ) -> ScaledMatrix:
     """Scale the matrix of a subdomain if its diagonal spans many orders of magnitude.
 

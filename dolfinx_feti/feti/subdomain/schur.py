@@ -82,7 +82,7 @@ class AppliedSchurComplement(SchurComplement):
 
 
 class FormedSchurComplement(SchurComplement):
-    """S_i as a dense symmetric matrix in packed format: a ``matrix.LocalMatrix`` as well.
+    """S_i as a dense symmetric matrix in packed format: a ``matrix.SubdomainMatrix`` as well.
 
     Attributes:
         matrix: S_i, packed.
@@ -116,7 +116,7 @@ class FormedSchurComplement(SchurComplement):
     def factor(
         self, R: Array, rho: float, shift: Array | None = None, *, is_graded: bool = False
     ) -> Factor:
-        """Factor S_i + ρ R Rᵀ + diag(shift); R may be graded. See ``matrix.LocalMatrix``."""
+        """Factor S_i + ρ R Rᵀ + diag(shift); R may be graded. See ``matrix.SubdomainMatrix``."""
         return factor_dense(self.matrix, R, rho, shift)
 
     def factor_for_preconditioner(self, R: Array, rho: float) -> Factor:

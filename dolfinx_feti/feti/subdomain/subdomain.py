@@ -24,7 +24,7 @@ class Subdomain:
 
     Attributes:
         number: Number of the subdomain over all processes.
-        dofs: All dofs, (n_all,).
+        all_dofs: All dofs, (n_all,).
         free_dofs: Dofs that are not fixed in the local matrix, (n_i,).
         interface: Γ, the free dofs that are glued, (n_{Γ,i},).
         interior: I, the other free dofs, (n_{I,i},).
@@ -34,7 +34,7 @@ class Subdomain:
     """
 
     number: int
-    dofs: Indices
+    all_dofs: Indices
     free_dofs: Indices
     interface: Indices
     interior: Indices
@@ -67,7 +67,7 @@ def _create_subdomains(torn: Torn, glued: Indices, fixed: Mask) -> list[Subdomai
         subdomains.append(
             Subdomain(
                 number=torn.first_subdomain + i,
-                dofs=dofs,
+                all_dofs=dofs,
                 free_dofs=free[i],
                 interface=free[i][is_on_interface],
                 interior=free[i][~is_on_interface],

@@ -18,7 +18,7 @@ from walls import tube, wall
 
 from dolfinx_feti.feti.setup import set_up
 from dolfinx_feti.feti.subdomain.blocks import sparse_block
-from dolfinx_feti.feti.subdomain.generalized_inverse import local_matrices
+from dolfinx_feti.feti.subdomain.generalized_inverse import subdomain_matrices
 from dolfinx_feti.feti.subdomain.modes import rigid_modes
 from dolfinx_feti.feti.subdomain.orthonormal import (
     append_orthonormal,
@@ -147,7 +147,7 @@ def test_kernel_of_a_few_cells(subdomains, kappa, interior, create_dual):
     agree(all(modes.is_exact))
     small(max((np.abs(D).max(initial=0.0) for D in modes.D), default=0.0), 0.0)
     error = 0.0
-    matrices = local_matrices(system.operator, system.pattern.analysis)
+    matrices = subdomain_matrices(system.operator, system.pattern.analysis)
     for K, K_i in zip(matrices, system.inverse.blocks, strict=True):
         image = K.multiply(K_i.modes.E)
         error = max(error, np.abs(image).max(initial=0.0) / K_i.modes.rho)
@@ -170,7 +170,7 @@ def test_few_cells_agree_with_a_direct_solver(kind, interior):
 
 
 class DenseMatrix:
-    """A dense ``LocalMatrix``, with a dense inverse as factor."""
+    """A dense ``SubdomainMatrix``, with a dense inverse as factor."""
 
     def __init__(self, K):
         self.K = K
