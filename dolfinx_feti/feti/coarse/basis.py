@@ -17,9 +17,9 @@ prescribed value V vanishes, because the assembled interface does not contain th
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 from mpi4py import MPI
 
@@ -52,18 +52,7 @@ def averaged_columns(copies: Copies, U: Sequence[Array]) -> LocalCoarseBasis:
         copies: Copies of the interface dofs.
         U: Columns that each subdomain contributes, (n_{Γ,i}, k_i).
     """
-    first_dof, width = _blocks_of_rows(copies, U)
-    # V is nonzero in a row for the block of each copy of its dof.
-    panel_rows = _PanelRows(copies.pair_rows, copies.fetch(first_dof), copies.fetch(width))
-
-    def averages(j: int) -> Array:
-        """Return T V in each panel row, for column j of its block, (panel rows,). Collective.
-
-        The column is nonzero in one of the copies alone, so that the sum over them has one term.
-        """
-        return copies.fetch(copies.delta * _column_of_each_block(copies, U, j))  # δ U
-
-    return _local_basis(copies, panel_rows, averages)
+    return _local_basis(copies, _Averages(copies, U))
 
 
 def jump_columns(copies: Copies, U: Sequence[Array]) -> LocalCoarseBasis:
@@ -73,24 +62,7 @@ def jump_columns(copies: Copies, U: Sequence[Array]) -> LocalCoarseBasis:
         copies: Copies of the interface dofs.
         U: Columns that each subdomain contributes, (n_{Γ,i}, k_i).
     """
-    first_dof, width = _blocks_of_rows(copies, U)
-    first_row = copies.comm.scan(copies.size) - copies.size  # of this process, over all processes
-    with_itself = copies.pair_copies == first_row + copies.pair_rows  # pairs of a row with itself
-    prescribed = np.setdiff1d(np.arange(copies.size), copies.pair_rows)  # rows without a pair
-    panel_rows = _PanelRows(
-        row=np.append(copies.pair_rows, prescribed),
-        first_dof=np.append(copies.fetch(first_dof), first_dof[prescribed]),
-        width=np.append(copies.fetch(width), width[prescribed]),
-    )
-
-    def jumps(j: int) -> Array:
-        """Return U − T V in each panel row, for column j of its block. Collective."""
-        u = _column_of_each_block(copies, U, j)
-        jump = -copies.fetch(copies.delta * u)  # −T V
-        jump[with_itself] += u[copies.pair_rows[with_itself]]  # U − T V
-        return np.append(jump, u[prescribed])  # V = 0
-
-    return _local_basis(copies, panel_rows, jumps)
+    return _local_basis(copies, _Jumps(copies, U))
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,9 +81,71 @@ class _PanelRows:
     first_dof: Numbers
     width: Numbers
 
-    def in_order(self, order: Integers) -> _PanelRows:
+    def select(self, which: Integers | slice) -> _PanelRows:
         """Return the panel rows with these indices, in their order."""
-        return _PanelRows(self.row[order], self.first_dof[order], self.width[order])
+        return _PanelRows(self.row[which], self.first_dof[which], self.width[which])
+
+
+class _Columns(Protocol):
+    """Columns of all blocks on the interfaces of this process.
+
+    Attributes:
+        panel_rows: Where the columns are nonzero, in any order.
+    """
+
+    panel_rows: _PanelRows
+
+    def values(self, j: int) -> Array:
+        """Return column j of the block of each panel row, (panel rows,). Collective.
+
+        The values of blocks without a column j have no meaning.
+        """
+
+
+class _Averages:
+    """The columns T V."""
+
+    def __init__(self, copies: Copies, U: Sequence[Array]) -> None:
+        """Find the panel rows. Collective. Arguments are those of :func:`averaged_columns`."""
+        first_dof, width = _blocks_of_rows(copies, U)
+        self._copies = copies
+        self._U = U
+        # V is nonzero in a row for the block of each copy of its dof.
+        self.panel_rows = _PanelRows(copies.pair_rows, copies.fetch(first_dof), copies.fetch(width))
+
+    def values(self, j: int) -> Array:
+        """Return T V in each panel row, for column j of its block, (panel rows,). Collective.
+
+        The column is nonzero in one of the copies alone, so that the sum over them has one term.
+        """
+        u = _column_of_each_block(self._copies, self._U, j)
+        return self._copies.fetch(self._copies.delta * u)  # δ U
+
+
+class _Jumps:
+    """The columns U − T V."""
+
+    def __init__(self, copies: Copies, U: Sequence[Array]) -> None:
+        """Find the panel rows. Collective. Arguments are those of :func:`jump_columns`."""
+        first_dof, width = _blocks_of_rows(copies, U)
+        first_row = copies.comm.scan(copies.size) - copies.size  # of this process, over all
+        self._copies = copies
+        self._U = U
+        self._is_own = copies.pair_copies == first_row + copies.pair_rows  # row with itself
+        self._prescribed = np.setdiff1d(np.arange(copies.size), copies.pair_rows)  # without a pair
+        self.panel_rows = _PanelRows(
+            row=np.append(copies.pair_rows, self._prescribed),
+            first_dof=np.append(copies.fetch(first_dof), first_dof[self._prescribed]),
+            width=np.append(copies.fetch(width), width[self._prescribed]),
+        )
+
+    def values(self, j: int) -> Array:
+        """Return U − T V in each panel row, for column j of its block. Collective."""
+        copies = self._copies
+        u = _column_of_each_block(copies, self._U, j)
+        jump = -copies.fetch(copies.delta * u)  # −T V
+        jump[self._is_own] += u[copies.pair_rows[self._is_own]]  # U − T V
+        return np.append(jump, u[self._prescribed])  # V = 0
 
 
 def _blocks_of_rows(copies: Copies, U: Sequence[Array]) -> tuple[Numbers, Numbers]:
@@ -141,74 +175,81 @@ def _column_of_each_block(copies: Copies, U: Sequence[Array], j: int) -> Array:
     return u
 
 
-def _local_basis(
-    copies: Copies, panel_rows: _PanelRows, column_values: Callable[[int], Array]
-) -> LocalCoarseBasis:
+def _local_basis(copies: Copies, columns: _Columns) -> LocalCoarseBasis:
     """Collect the values of the columns in panels. Collective.
 
-    Sorting the panel rows by subdomain and block makes those of each panel consecutive. Their
-    values are fetched from the neighbours column by column, and stored row by row. Each panel is
-    then a slice of the sorted rows and of their values.
+    The panel rows are sorted by subdomain and block, and their values are stored row by row. So
+    those of a subdomain are a slice of the rows and of the values, and so are those of a panel.
 
     Args:
         copies: Copies of the interface dofs.
-        panel_rows: Where the columns are nonzero, in any order.
-        column_values: Returns the values of column j of the block of each panel row, (panel rows,);
-            those of blocks without a column j are ignored. Collective.
+        columns: The columns.
     """
     comm = copies.comm
     code = load_panels(comm)
     subdomain_ends = [rows.stop for rows in copies.rows]
-    subdomain = np.searchsorted(subdomain_ends, panel_rows.row, side="right")
-    order = np.lexsort((panel_rows.first_dof, subdomain))  # stable: rows stay in ascending order
-    order = order[panel_rows.width[order] > 0]
-    panel_rows = panel_rows.in_order(order)
-    subdomain = subdomain[order]
-    values, first_value = _values_of_rows(panel_rows, lambda j: column_values(j)[order], comm)
+    subdomain = np.searchsorted(subdomain_ends, columns.panel_rows.row, side="right")
+    # A stable sort: the rows of a panel stay in ascending order.
+    order = np.lexsort((columns.panel_rows.first_dof, subdomain))
+    order = order[columns.panel_rows.width[order] > 0]
+    panel_rows = columns.panel_rows.select(order)
+    values, first_value = _values_of_rows(columns, order, comm)
+    # Where the panel rows of each subdomain begin, and the end, (subdomains + 1,); and its values.
+    row_bounds = np.searchsorted(subdomain[order], np.arange(len(copies.rows) + 1))
+    value_bounds = np.append(first_value, len(values))[row_bounds]
 
-    is_new_subdomain = np.diff(subdomain, prepend=-1) != 0
-    is_new_block = np.diff(panel_rows.first_dof, prepend=-1) != 0
-    first_of_panel = np.flatnonzero(is_new_subdomain | is_new_block)  # panel rows, (panels,)
-    # Where each panel begins among the panel rows and values, and the ends, (panels + 1,) each.
-    row_bounds = np.append(first_of_panel, len(order))
-    value_bounds = np.append(first_value[first_of_panel], len(values))
-    # Where each subdomain begins among the panels, and the end, (subdomains + 1,).
-    panel_bounds = np.searchsorted(subdomain[first_of_panel], np.arange(len(copies.rows) + 1))
-    row_in_subdomain = (
-        panel_rows.row - np.array([rows.start for rows in copies.rows], int)[subdomain]
-    )
+    def create_panels() -> list[tuple[Panels, Numbers]]:
+        return [
+            _panels_of_subdomain(
+                code,
+                rows,
+                panel_rows.select(slice(row_bounds[i], row_bounds[i + 1])),
+                values[value_bounds[i] : value_bounds[i + 1]],
+            )
+            for i, rows in enumerate(copies.rows)
+        ]
 
-    def create_panels(i: int) -> Panels:
-        """Create W_i from the panels a, …, b − 1."""
-        a, b = panel_bounds[i : i + 2]
-        rows = copies.rows[i]
-        return Panels(
-            code=code,
-            n=rows.stop - rows.start,
-            starts=_as_indices(row_bounds[a : b + 1] - row_bounds[a]),
-            rows=_as_indices(row_in_subdomain[row_bounds[a] : row_bounds[b]]),
-            widths=_as_indices(panel_rows.width[first_of_panel[a:b]]),
-            values=values[value_bounds[a] : value_bounds[b]],
-        )
-
-    first_dofs = panel_rows.first_dof[first_of_panel]
+    of_subdomains = on_all(create_panels, comm)
     return LocalCoarseBasis(
-        W=on_all(lambda: [create_panels(i) for i in range(len(copies.rows))], comm),
-        first_dofs=[first_dofs[a:b] for a, b in itertools.pairwise(panel_bounds)],
+        W=[W_i for W_i, _ in of_subdomains],
+        first_dofs=[first_dofs for _, first_dofs in of_subdomains],
     )
 
 
-def _values_of_rows(
-    panel_rows: _PanelRows, column_values: Callable[[int], Array], comm: MPI.Comm
-) -> tuple[Array, Numbers]:
+def _panels_of_subdomain(
+    code: Any, rows: slice, panel_rows: _PanelRows, values: Array
+) -> tuple[Panels, Numbers]:
+    """Create W_i of one subdomain.
+
+    Args:
+        code: Compiled code of panels.
+        rows: Interface rows of the subdomain.
+        panel_rows: Its panel rows, sorted by block.
+        values: Values of the first panel row, of the second one, and so on.
+
+    Returns:
+        W_i, and the first coarse dof of each of its panels, (panels,).
+    """
+    first_of_panel = np.flatnonzero(np.diff(panel_rows.first_dof, prepend=-1))  # panel rows
+    panels = Panels(
+        code=code,
+        n=rows.stop - rows.start,
+        starts=_as_indices(np.append(first_of_panel, len(panel_rows.row))),
+        rows=_as_indices(panel_rows.row - rows.start),
+        widths=_as_indices(panel_rows.width[first_of_panel]),
+        values=values,
+    )
+    return panels, panel_rows.first_dof[first_of_panel]
+
+
+def _values_of_rows(columns: _Columns, order: Integers, comm: MPI.Comm) -> tuple[Array, Numbers]:
     """Fetch the values of all columns, in one exchange for each column of the widest block.
 
     Collective.
 
     Args:
-        panel_rows: Panel rows in the order of the values.
-        column_values: Returns the values of column j of the block of each panel row, (panel rows,);
-            collective.
+        columns: The columns.
+        order: Indices of panel rows in the order of the values.
         comm: Communicator of the columns.
 
     Returns:
@@ -218,13 +259,13 @@ def _values_of_rows(
     Raises:
         MemoryError: The values do not fit into memory; on all processes.
     """
-    width = panel_rows.width
+    width = columns.panel_rows.width[order]
     first_value = np.cumsum(width) - width
     values = on_all(lambda: np.empty(width.sum()), comm)
     widest = comm.allreduce(int(width.max(initial=0)), op=MPI.MAX)
     for j in range(widest):
         has_column = width > j
-        values[first_value[has_column] + j] = column_values(j)[has_column]
+        values[first_value[has_column] + j] = columns.values(j)[order][has_column]
     return values, first_value
 
 

@@ -19,7 +19,6 @@ again, for a *fresh start*, r is the residual that its earlier solves have left.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 from petsc4py import PETSc
 
@@ -37,7 +36,7 @@ from dolfinx_feti.feti.monitor import Monitor
 from dolfinx_feti.feti.pattern import Pattern
 from dolfinx_feti.feti.preconditioners.base import Preconditioner
 from dolfinx_feti.feti.preconditioners.registry import PRECONDITIONERS
-from dolfinx_feti.feti.regularity.detection import require_regular
+from dolfinx_feti.feti.regularity.detection import CoarseMatrix, require_regular
 from dolfinx_feti.feti.setup import Inertia, Setup
 from dolfinx_feti.feti.solve_info import NEGATIVE_CURVATURE, KrylovInfo
 from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
@@ -243,11 +242,10 @@ def create_dual_formulation(pattern: Pattern, setup: Setup, within: Lifetime) ->
         require_regular(
             torn,
             pattern.bodies,
-            coarse.N,
-            coarse.solver,
-            field=partial(_averaged_motion, torn, setup, coarse),
+            CoarseMatrix(
+                coarse.N, coarse.solver, coarse_options, _AveragedMotions(torn, setup, coarse)
+            ),
             is_semidefinite=_is_semidefinite(setup),
-            options=coarse_options,
         )
     inertia = replace(setup.inertia, assembled=_min_negative_eigenvalues(pattern, setup))
     method = krylov.select_method(pattern.subsolvers.dual, is_definite=inertia.is_definite)
@@ -287,23 +285,32 @@ def _is_semidefinite(setup: Setup) -> bool:
     return setup.inertia.is_definite and setup.inertia.interior == 0
 
 
-def _averaged_motion(torn: Torn, setup: Setup, coarse: DualCoarseProblem, s: Array) -> Array:
-    """Return the motion E s with its copies averaged, zero on Dirichlet dofs. Collective.
+@dataclass(frozen=True, slots=True)
+class _AveragedMotions:
+    """The motions E s with their copies averaged.
 
-    Args:
+    Attributes:
         torn: The torn matrix.
         setup: δ, and S for the interior.
         coarse: E.
-        s: Coarse unknowns, (n_c,).
-
-    Returns:
-        T Tᵀ δ E s with the interior that belongs to it, (n,).
     """
-    w = torn.tear(torn.assemble(setup.delta * coarse.prolong(s)))  # T Tᵀ δ E s
-    w = np.where(torn.is_dirichlet_copy, 0.0, w)
-    if setup.operator.is_interior_eliminated:
-        w = setup.operator.extend(w, np.zeros(torn.n))
-    return np.where(torn.is_dirichlet_copy, 0.0, w)
+
+    torn: Torn
+    setup: Setup
+    coarse: DualCoarseProblem
+
+    def field(self, s: Array) -> Array:
+        """Return T Tᵀ δ E s with the interior that belongs to it, (n,). Collective.
+
+        Args:
+            s: Coarse unknowns, (n_c,).
+        """
+        torn = self.torn
+        w = torn.tear(torn.assemble(self.setup.delta * self.coarse.prolong(s)))  # T Tᵀ δ E s
+        w = np.where(torn.is_dirichlet_copy, 0.0, w)
+        if self.setup.operator.is_interior_eliminated:
+            w = self.setup.operator.extend(w, np.zeros(torn.n))
+        return np.where(torn.is_dirichlet_copy, 0.0, w)
 
 
 def _min_negative_eigenvalues(pattern: Pattern, setup: Setup) -> int | None:

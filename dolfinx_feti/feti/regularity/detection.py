@@ -17,7 +17,8 @@ assembled matrix is rounding.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
 
 from petsc4py import PETSc
 
@@ -75,6 +76,37 @@ MAX_MOTIONS = 64
 DEPENDENT_FIELD_NORM = 1e-8
 
 
+class CoarseMotions(Protocol):
+    """The motions of the torn structure that coarse vectors stand for."""
+
+    def field(self, s: Array) -> Array:
+        """Return the motion E s with its copies averaged. Collective.
+
+        Args:
+            s: Coarse vector, (n_c,).
+
+        Returns:
+            The field, single-valued and zero on Dirichlet dofs, (n,).
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class CoarseMatrix:
+    """N of the dual formulation, and what its null vectors are.
+
+    Attributes:
+        N: The coarse matrix, (N_c, N_c).
+        solver: Its solver.
+        options: Options of the solver.
+        motions: Its vectors as motions.
+    """
+
+    N: PETSc.Mat
+    solver: CoarseSolver
+    options: DirectOptions
+    motions: CoarseMotions
+
+
 def require_supported(torn: Torn, bodies: Bodies) -> None:
     """Check that bodies cannot move rigidly except in the given null space. Collective.
 
@@ -87,26 +119,15 @@ def require_supported(torn: Torn, bodies: Bodies) -> None:
 
 
 def require_regular(
-    torn: Torn,
-    bodies: Bodies,
-    N: PETSc.Mat,
-    solver: CoarseSolver,
-    *,
-    field: Callable[[Array], Array],
-    is_semidefinite: bool,
-    options: DirectOptions,
+    torn: Torn, bodies: Bodies, coarse: CoarseMatrix, *, is_semidefinite: bool
 ) -> None:
     """Check by N of the dual formulation that A resists all motions. Collective.
 
     Args:
         torn: The torn matrix.
         bodies: Its bodies.
-        N: The coarse matrix, (N_c, N_c), with added stiffness along a given null space.
-        solver: Its solver.
-        field: Returns E s with its copies averaged, zero on Dirichlet dofs, (n,), for the coarse
-            vector s, (n_c,). Collective.
+        coarse: N with added stiffness along a given null space, its solver, and its motions.
         is_semidefinite: Whether all K_i are known to be positive semi-definite.
-        options: Options of the coarse solver.
 
     Raises:
         SingularError: A does not resist some motions, which the message describes; or N has a zero
@@ -115,19 +136,19 @@ def require_regular(
     """
     rigid = free_motions(torn, bodies, is_semidefinite=is_semidefinite)
     has_unknown_motions = not rigid.lie_in_null_space()
-    growth, error = growth_and_backward_error(N, solver)
+    growth, error = growth_and_backward_error(coarse.N, coarse.solver)
     is_accurate = error <= MAX_BACKWARD_ERROR
     is_suspicious = not (growth <= SUSPICIOUS_GROWTH and is_accurate)
     mechanisms = np.zeros((torn.n, 0))
-    if N.getSize()[0] and (is_suspicious or has_unknown_motions):
-        mechanisms = _mechanisms(rigid, N, field, options)
+    if coarse.N.getSize()[0] and (is_suspicious or has_unknown_motions):
+        mechanisms = _mechanisms(rigid, coarse)
     if has_unknown_motions or mechanisms.shape[1]:
         raise singular_error(rigid, mechanisms)
     if is_accurate:
         return
     if np.isinf(growth):
         raise SingularError(NEARLY_SINGULAR)
-    raise inaccurate_solver_error(error, options.prefix)
+    raise inaccurate_solver_error(error, coarse.options.prefix)
 
 
 def require_no_mechanism(
@@ -195,16 +216,12 @@ def require_regular_interior(torn: Torn, bodies: Bodies, kernel: Array) -> None:
     raise singular_interior_error(counts)
 
 
-def _mechanisms(
-    rigid: RigidMotions, N: PETSc.Mat, field: Callable[[Array], Array], options: DirectOptions
-) -> Array:
+def _mechanisms(rigid: RigidMotions, coarse: CoarseMatrix) -> Array:
     """Compute the motions of null vectors of N that are not rigid. Collective.
 
     Args:
         rigid: Rigid motions that nothing resists.
-        N: The coarse matrix, (N_c, N_c).
-        field: Returns the single-valued field of a coarse vector, (n_c,) → (n,). Collective.
-        options: Options of the coarse solver.
+        coarse: N and its motions.
 
     Returns:
         The motions as columns on the torn dofs, (n, any number).
@@ -213,10 +230,11 @@ def _mechanisms(
     mechanisms = np.zeros((n, 0))
     count = rigid.total + SPARE_VECTORS
     while count <= MAX_MOTIONS:
-        candidates = null_vectors(N, count, options=options)  # (n_c, ≤ count)
-        fields = np.array([field(s) for s in candidates.T]).reshape(candidates.shape[1], n).T
-        mechanisms = _unresisted_motions(fields, rigid)
-        if mechanisms.shape[1] < SPARE_VECTORS or count >= N.getSize()[0]:
+        candidates = null_vectors(coarse.N, count, options=coarse.options)  # (n_c, ≤ count)
+        fields = [coarse.motions.field(s) for s in candidates.T]
+        columns = np.array(fields).reshape(candidates.shape[1], n).T
+        mechanisms = _unresisted_motions(columns, rigid)
+        if mechanisms.shape[1] < SPARE_VECTORS or count >= coarse.N.getSize()[0]:
             break
         count *= 2
     return mechanisms
