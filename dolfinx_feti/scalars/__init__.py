@@ -10,12 +10,14 @@ problem has its couplings in ``scalars=``.
 - What a coupling is: ``equations``; ``real_spaces`` creates them from scalars of scifem.
 - Kinds: ``constraints``, ``arc_length``, ``cavity``, ``windkessel``; ``case_cavities`` has those
   of a case file, and ``couplings`` checks those of a problem.
-- A step of Newton's method: ``system`` assembles the ``border`` and solves by ``bordered``.
-  ``border_forms`` compiles the forms of the border, which ``derivatives`` derives. ``springs``
-  support a body that is free to move. ``independence`` is checked before the first step.
+- A step of Newton's method: ``system`` assembles the ``border`` by ``border_forms``, which derive
+  it by ``derivatives``, and solves by ``bordered``: a ``bordered_system`` by block elimination,
+  with solves of a ``matrix_solver``. ``springs`` support a body that is free to move;
+  ``independence`` is checked before the first step.
 
 In the order of the data: equations, derivatives, real_spaces, border, border_forms, independence,
-springs, bordered, system, constraints, arc_length, cavity, windkessel, couplings, case_cavities.
+springs, matrix_solver, bordered_system, bordered, system, constraints, arc_length, cavity,
+windkessel, couplings, case_cavities.
 """
 
 from dolfinx_feti.scalars.arc_length import ArcLength

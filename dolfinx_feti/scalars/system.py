@@ -27,9 +27,10 @@ from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.runtime.collective import on_all, total_of
 from dolfinx_feti.scalars.border import Border
 from dolfinx_feti.scalars.border_forms import BorderForms
-from dolfinx_feti.scalars.bordered import BorderedSolver, solve_ksp
+from dolfinx_feti.scalars.bordered import BorderedSolver
 from dolfinx_feti.scalars.equations import Coupling, values_of
 from dolfinx_feti.scalars.independence import require_independent
+from dolfinx_feti.scalars.matrix_solver import solve_ksp
 
 __all__ = ["ScalarSystem"]
 
@@ -151,18 +152,18 @@ class ScalarSystem:
         z = ksp.getPythonContext().correction(ksp, -r)
         return None if z is None else (z, np.zeros(0))
 
-    def error_of_correction(self, ds: Array, s: Array, u: Array) -> float:
-        """Return the error η of the scalars: the largest relative size of a Δs_k. Collective.
+    def error_of_scalars(self, ds: Array, s: Array, u: Array) -> float:
+        """Return η of a correction of the scalars, the largest |Δs_k| relative to s_k. Collective.
 
-        See :meth:`BorderedSolver.error_of_correction
-        <dolfinx_feti.scalars.bordered.BorderedSolver.error_of_correction>`.
+        See :meth:`BorderedSolver.error_of_scalars
+        <dolfinx_feti.scalars.bordered.BorderedSolver.error_of_scalars>`.
 
         Args:
             ds: Δs, (m,).
             s: Largest size of s_k among the iterates, (m,).
             u: Largest size of u_j among the iterates, (N,).
         """
-        return self._solver.error_of_correction(ds, s, u, self._comm)
+        return self._solver.error_of_scalars(ds, s, u, self._comm)
 
     def scales(self, u: Array, h: Array | float) -> Array:
         r"""Return the scales of the equations, (m,). Collective.

@@ -168,7 +168,7 @@ class StateError:
         error = self._ksp.getPythonContext().error_of_correction(du, [u, change_of_u])
         size_of_u = np.maximum(np.abs(u), np.abs(change_of_u))
         size_of_s = np.maximum(np.abs(s), np.abs(change_of_s))
-        return float(max(error, system.scalars.error_of_correction(ds, size_of_s, size_of_u)))
+        return float(max(error, system.scalars.error_of_scalars(ds, size_of_s, size_of_u)))
 
 
 def _is_near_floor(iterate: Iterate, history: Sequence[NewtonStep]) -> bool:
