@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Output: recovered stresses, values at points, fields for ParaView, pictures, and scenes.
 
-In the order of the data: evaluation, patches, stress, file_fields, point_cloud, fields,
-surfaces, pictures, scenes.
+In the order of the data: evaluation, patches, stress, file_fields, point_cloud, file_formats,
+fields, surfaces, pictures, scenes.
 """
 
 from dolfinx_feti.output.evaluation import cell_values, evaluate

@@ -36,7 +36,7 @@ KINDS = [pytest.param("vtx", marks=needs_adios2), "xdmf"]
 
 def written_functions(writer: FieldWriter) -> list[dolfinx.fem.Function]:
     """The functions in the file, with the values of the last step."""
-    return [copy.function for copy in writer._copies]
+    return [copy.function for copy in writer._outputs[0].copies]
 
 
 def at_points(mesh: dolfinx.mesh.Mesh, degree: int, name: str = "S") -> dolfinx.fem.Function:
