@@ -18,8 +18,10 @@ from mpi4py import MPI
 
 import numpy as np
 
+import basix
+
 from dolfinx_feti.mechanics.materials import ArteryParameters
-from dolfinx_feti.meshes.quality import MeshQuality, measure_quality
+from dolfinx_feti.meshes.quality import MeshQuality, measure_hexahedra, measure_quality
 from dolfinx_feti.meshes.tube import create_tube
 from dolfinx_feti.meshes.vessel import create_vessel
 from dolfinx_feti.runtime import compat
@@ -198,15 +200,18 @@ def generate_wall(generate: Callable[[Path], object], comm: MPI.Comm) -> Wall:
 
 
 def wall_quality(wall: Wall) -> MeshQuality:
-    """Return the quality of a wall's tetrahedra. Collective.
+    """Return the quality of a wall's tetrahedra or hexahedra. Collective.
 
-    Edges count as straight: a curved tetrahedron is measured by its corners. For a wall of
-    hexahedra the result has no meaning, as only the first four corners of a cell are read.
+    Edges count as straight: a curved cell is measured by its corners.
     """
     mesh = wall.mesh
     n_owned = mesh.topology.index_map(3).size_local
-    corners = compat.geometry_dofmap(mesh)[:n_owned, :4].astype(np.int64)
-    local = measure_quality(np.asarray(mesh.geometry.x, dtype=np.float64), corners)
+    nodes = compat.geometry_dofmap(mesh)[:n_owned].astype(np.int64)
+    points = np.asarray(mesh.geometry.x, dtype=np.float64)
+    if mesh.basix_cell() == basix.CellType.hexahedron:
+        local = measure_hexahedra(points, nodes[:, :8])
+    else:
+        local = measure_quality(points, nodes[:, :4])
     parts = [part for part in mesh.comm.allgather(local) if part.cells]
     cells = sum(part.cells for part in parts)
     return MeshQuality(
@@ -216,6 +221,7 @@ def wall_quality(wall: Wall) -> MeshQuality:
         mean=sum(part.cells * part.mean for part in parts) / cells,
         histogram=tuple(np.sum([part.histogram for part in parts], axis=0).tolist()),
         volume=sum(part.volume for part in parts),
+        cell_name=local.cell_name,
     )
 
 

@@ -22,6 +22,7 @@ import ufl
 
 from dolfinx_feti.meshes.files import write_msh
 from dolfinx_feti.meshes.tags import LAYER_TAGS, SURFACE_TAGS
+from dolfinx_feti.meshes.walls import open_wall
 from dolfinx_feti.wall import area, by_layer, facets, openings, read_case, read_wall
 from dolfinx_feti.wall.fibres import fibre_frame
 from dolfinx_feti.wall.wall import plane
@@ -288,6 +289,36 @@ def test_wall_of_gmsh(tmp_path, order, hexahedra):
     radial = x * [1, 0, 1] / np.hypot(x[:, 0], x[:, 2])[:, None]
     found = fibre_frame(wall).transmural.x.array.reshape(-1, 3)[: len(x)]
     small(1.0 - np.abs(np.sum(radial * found, axis=1)).min(initial=1.0), 1e-2)
+
+
+@pytest.mark.processes(1, 2)
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("hexahedra", [False, True])
+def test_quality_of_a_wall_of_gmsh(tmp_path, order, hexahedra):
+    """Number, quality and volume are those of the same cells with straight edges in Gmsh."""
+    gmsh = pytest.importorskip("gmsh")
+    path = COMM.bcast(tmp_path / "quarter.msh")
+    on_first(lambda: str(write_quarter(path, order=order, hexahedra=hexahedra)))
+
+    def measure_in_gmsh() -> tuple[np.ndarray, np.ndarray]:
+        gmsh.initialize(readConfigFiles=False, interruptible=False)
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(path))
+        gmsh.model.mesh.setOrder(1)
+        cells = gmsh.model.mesh.getElements(3)[1][0]
+        qualities = gmsh.model.mesh.getElementQualities(cells, "minSICN")
+        volumes = gmsh.model.mesh.getElementQualities(cells, "volume")
+        gmsh.finalize()
+        return qualities, volumes
+
+    qualities, volumes = on_first(measure_in_gmsh)
+    _, quality = open_wall(path, COMM, size=None, folder=path.parent)
+    agree(quality.cells == len(qualities), quality)
+    agree(quality.cell_name == ("hexahedra" if hexahedra else "tetrahedra"), quality)
+    agree(f"{quality.cells} {quality.cell_name}" in str(quality), quality)
+    small(quality.minimum - qualities.min(), 1e-6)
+    small(quality.mean - qualities.mean(), 1e-6)
+    small(quality.volume / volumes.sum() - 1.0, 1e-9)
 
 
 # -- what is refused, on all processes
