@@ -34,7 +34,7 @@ from dolfinx_feti import ConvergenceError, NonlinearProblem, loads, materials
 from dolfinx_feti.loading import LoadStep, Steps, follow_load
 from dolfinx_feti.meshes.arguments import count
 from dolfinx_feti.meshes.random_lumen import write_random_lumen
-from dolfinx_feti.meshes.vessel import create_vessel
+from dolfinx_feti.meshes.vessel import write_vessel
 from dolfinx_feti.meshes.walls import generate_wall
 from dolfinx_feti.wall import Clamp, Pressure, Spring, Wall, apply_conditions, by_layer, openings
 from dolfinx_feti.wall.fibres import fibre_families, fibre_frame
@@ -162,7 +162,7 @@ def _create(seed: int, chance: Chance, comm: MPI.Comm) -> Wall:
         surface = path.with_suffix(".stl")
         random = np.random.default_rng([seed, 1])
         write_random_lumen(surface, random, branches=chance.branches, has_sac=chance.sac)
-        create_vessel(
+        write_vessel(
             path,
             size=1.6 * chance.thickness,
             thickness=chance.thickness,

@@ -13,7 +13,7 @@ from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["write_random_lumen"]
 
-#: Quadrilaterals along a branch; ``create_vessel`` remeshes the surface, so only its shape counts.
+#: Quadrilaterals along a branch; ``write_vessel`` remeshes the surface, so only its shape counts.
 ALONG = 16
 
 #: Quadrilaterals around half of a branch.

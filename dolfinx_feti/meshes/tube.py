@@ -29,7 +29,7 @@ from dolfinx_feti.meshes.quality import MeshQuality, measure_quality
 from dolfinx_feti.meshes.tags import SURFACE_TAGS
 from dolfinx_feti.runtime.arrays import Array, Numbers
 
-__all__ = ["Counts", "count_around", "create_tube", "element_counts", "unit_tube"]
+__all__ = ["Counts", "count_around", "create_tube", "element_counts", "unit_tube", "write_tube"]
 
 #: Radius of the lumen [mm]: a rabbit's carotid artery (Holzapfel, Gasser, Ogden 2000).
 INNER_RADIUS = 0.71
@@ -67,7 +67,7 @@ class Counts:
     along: int
 
 
-def create_tube(
+def write_tube(
     path: Path | str,
     *,
     length: float = 3.0,
@@ -117,6 +117,10 @@ def create_tube(
     quality = measure_quality(arrays.points, arrays.cells)
     log.info("%s", quality)
     return quality
+
+
+#: Another name of :func:`write_tube`.
+create_tube = write_tube
 
 
 def element_counts(
@@ -224,7 +228,7 @@ def main() -> None:
     if options["through"]:
         options["through"] = tuple(options["through"])
     with exit_on_errors(parser):
-        create_tube(options.pop("file"), **options)
+        write_tube(options.pop("file"), **options)
 
 
 if __name__ == "__main__":

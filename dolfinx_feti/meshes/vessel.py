@@ -45,7 +45,7 @@ from dolfinx_feti.meshes.surface import edge_lengths, find_edges, read_stl, unit
 from dolfinx_feti.meshes.tags import SURFACE_TAGS
 from dolfinx_feti.runtime.arrays import Array, Numbers
 
-__all__ = ["create_vessel", "find_surface"]
+__all__ = ["create_vessel", "find_surface", "write_vessel"]
 
 #: File of Gmsh's example.
 EXAMPLE_FILE = "aneurysm_data.stl"
@@ -63,7 +63,7 @@ ARTERY_LAYERS = {"media": 2 / 3, "adventitia": 1 / 3}
 log = logging.getLogger(__name__)
 
 
-def create_vessel(
+def write_vessel(
     path: Path | str,
     *,
     size: float = 1.2,
@@ -116,6 +116,10 @@ def create_vessel(
     return quality
 
 
+#: Another name of :func:`write_vessel`.
+create_vessel = write_vessel
+
+
 def find_surface(folders: Sequence[Path] | None = None) -> Path:
     """Return the path of Gmsh's example surface.
 
@@ -143,7 +147,7 @@ def find_surface(folders: Sequence[Path] | None = None) -> Path:
 
 
 def _check(layers: Mapping[str, float], through: Sequence[int], **lengths: float) -> None:
-    """Check the arguments of :func:`create_vessel`.
+    """Check the arguments of :func:`write_vessel`.
 
     Raises:
         ValueError: One is out of its range.
@@ -255,7 +259,7 @@ def main() -> None:
     options = vars(parser.parse_args())
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     with exit_on_errors(parser):
-        create_vessel(options.pop("file"), **options | {"layers": dict(options["layers"])})
+        write_vessel(options.pop("file"), **options | {"layers": dict(options["layers"])})
 
 
 if __name__ == "__main__":

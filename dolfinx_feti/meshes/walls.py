@@ -22,8 +22,8 @@ import basix
 
 from dolfinx_feti.mechanics.materials import ArteryParameters
 from dolfinx_feti.meshes.quality import MeshQuality, measure_hexahedra, measure_quality
-from dolfinx_feti.meshes.tube import create_tube
-from dolfinx_feti.meshes.vessel import create_vessel
+from dolfinx_feti.meshes.tube import write_tube
+from dolfinx_feti.meshes.vessel import write_vessel
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.collective import on_root
 from dolfinx_feti.wall.case import Case, LayerMaterial
@@ -46,7 +46,7 @@ __all__ = [
 
 #: Generators of walls by name. Each writes a file: its arguments are the path and the keyword
 #: ``size``, the wanted length of the edges [mm].
-GENERATORS: dict[str, Callable[..., MeshQuality]] = {"vessel": create_vessel, "tube": create_tube}
+GENERATORS: dict[str, Callable[..., MeshQuality]] = {"vessel": write_vessel, "tube": write_tube}
 
 #: Pressure of a case without a file [mmHg]: a first load step of an artery.
 DEFAULT_PRESSURE = 10.0
@@ -143,7 +143,7 @@ def create_tube_wall(
     around: int | None = None,
     along: int | None = None,
 ) -> Wall:
-    """Create the two-layer tube of :func:`dolfinx_feti.meshes.tube.create_tube` on all processes.
+    """Create the two-layer tube of :func:`dolfinx_feti.meshes.tube.write_tube` on all processes.
 
     Args:
         comm: Communicator of the mesh.
@@ -162,7 +162,7 @@ def create_tube_wall(
     """
 
     def generate(path: Path) -> None:
-        create_tube(
+        write_tube(
             path,
             length=length,
             size=size,

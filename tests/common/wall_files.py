@@ -14,7 +14,7 @@ from mpi4py import MPI
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.meshes.tube import create_tube
+from dolfinx_feti.meshes.tube import write_tube
 from dolfinx_feti.runtime import collective
 from dolfinx_feti.wall import Wall, read_wall
 
@@ -34,7 +34,7 @@ def on_first(make: Callable[[], T]) -> T:
 def tube(folder: Path, **options: object) -> Wall:
     """Write ``tube.msh`` into a folder with the options of ``create_tube``, and read it."""
     path = folder / "tube.msh"
-    on_first(lambda: create_tube(path, **options))
+    on_first(lambda: write_tube(path, **options))
     return read_wall(path, COMM)
 
 

@@ -26,7 +26,7 @@ def test_tube(tmp_path, quarter):
     """No leak; a quarter ends exactly in its planes. ``test_bricks`` has volumes and areas."""
     n = 4 if quarter else 16
     path = tmp_path / "t.msh"
-    quality = tube.create_tube(path, length=2.0, quarter=quarter, through=(2, 1), around=n, along=7)
+    quality = tube.write_tube(path, length=2.0, quarter=quarter, through=(2, 1), around=n, along=7)
     wall = read_wall_arrays(path)
     agree(quality.cells == 3 * 2 * 3 * n * 7 and quality.minimum > 0.3, quality)
     watertight(wall)
@@ -36,7 +36,7 @@ def test_tube(tmp_path, quarter):
 
 
 def test_finer_tubes_have_more_cells(tmp_path):
-    made = [tube.create_tube(tmp_path / "t.msh", size=s).cells for s in (0.4, 0.26, 0.13)]
+    made = [tube.write_tube(tmp_path / "t.msh", size=s).cells for s in (0.4, 0.26, 0.13)]
     agree(made[0] < made[1] < made[2] and 15_000 < made[2] < 25_000, made)
 
 
@@ -49,7 +49,7 @@ def test_files_are_whole_or_not_there(tmp_path, monkeypatch):
 
     monkeypatch.setattr(files.np, "savetxt", full)
     with raises(OSError, "no space"):
-        tube.create_tube(path, size=0.4)
+        tube.write_tube(path, size=0.4)
     agree(path.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == ["t.msh"])
 
 
@@ -91,21 +91,21 @@ def test_wrong_words(tmp_path, monkeypatch, capsys, module, words, said):
 @pytest.mark.parametrize(
     ("create", "options", "message"),
     [
-        (tube.create_tube, {"length": 0.0}, "length=0.0"),
-        (tube.create_tube, {"size": float("inf")}, "size=inf"),
-        (tube.create_tube, {"through": (1, 0)}, r"through=\(1, 0\)"),
-        (tube.create_tube, {"around": 2}, "around=2"),
-        (tube.create_tube, {"around": 0}, "around=0"),
-        (tube.create_tube, {"along": -1}, "along=-1"),
-        (vessel.create_vessel, {"size": 0.0}, "size=0.0"),
-        (vessel.create_vessel, {"size": float("nan")}, "size=nan"),
-        (vessel.create_vessel, {"thickness": -1.0}, "thickness=-1.0"),
-        (vessel.create_vessel, {"scale": 0.0}, "scale=0.0"),
-        (vessel.create_vessel, {"layers": {"wall": 0.0}}, "the share 0.0 of 'wall'"),
-        (vessel.create_vessel, {"layers": {"lumen": 1.0}}, "'lumen' is the name of a surface"),
-        (vessel.create_vessel, {"layers": {}}, "layers is empty: name a layer"),
-        (vessel.create_vessel, {"layers": {"wall": 1.0}, "through": (1, 1)}, "of the 1 layers"),
-        (vessel.create_vessel, {"through": (0, 1)}, r"through=\(0, 1\)"),
+        (tube.write_tube, {"length": 0.0}, "length=0.0"),
+        (tube.write_tube, {"size": float("inf")}, "size=inf"),
+        (tube.write_tube, {"through": (1, 0)}, r"through=\(1, 0\)"),
+        (tube.write_tube, {"around": 2}, "around=2"),
+        (tube.write_tube, {"around": 0}, "around=0"),
+        (tube.write_tube, {"along": -1}, "along=-1"),
+        (vessel.write_vessel, {"size": 0.0}, "size=0.0"),
+        (vessel.write_vessel, {"size": float("nan")}, "size=nan"),
+        (vessel.write_vessel, {"thickness": -1.0}, "thickness=-1.0"),
+        (vessel.write_vessel, {"scale": 0.0}, "scale=0.0"),
+        (vessel.write_vessel, {"layers": {"wall": 0.0}}, "the share 0.0 of 'wall'"),
+        (vessel.write_vessel, {"layers": {"lumen": 1.0}}, "'lumen' is the name of a surface"),
+        (vessel.write_vessel, {"layers": {}}, "layers is empty: name a layer"),
+        (vessel.write_vessel, {"layers": {"wall": 1.0}, "through": (1, 1)}, "of the 1 layers"),
+        (vessel.write_vessel, {"through": (0, 1)}, r"through=\(0, 1\)"),
     ],
 )
 def test_wrong_values(tmp_path, create, options, message):
@@ -115,3 +115,8 @@ def test_wrong_values(tmp_path, create, options, message):
     with raises(ValueError, message):
         create(path, **options)
     agree(path.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == ["v.msh"])
+
+
+def test_other_names_of_generators():
+    agree(tube.create_tube is tube.write_tube)
+    agree(vessel.create_vessel is vessel.write_vessel)

@@ -28,7 +28,7 @@ MEDIA = 2 / 3
 def artery(tmp_path_factory):
     """The vessel of the demo, with its file."""
     path = tmp_path_factory.mktemp("vessel") / "vessel.msh"
-    quality = vessel.create_vessel(path)
+    quality = vessel.write_vessel(path)
     return SimpleNamespace(path=path, quality=quality, wall=read_wall_arrays(path))
 
 
@@ -101,7 +101,7 @@ def test_quality_is_gmshs(artery):
 def coarse(tmp_path_factory):
     """The file of a coarse vessel."""
     path = tmp_path_factory.mktemp("coarse") / "vessel.msh"
-    vessel.create_vessel(path, size=2.4)
+    vessel.write_vessel(path, size=2.4)
     return path
 
 
@@ -126,7 +126,7 @@ def test_layers_of_a_pipe(tmp_path, layers, through, size):
     stl = write_stl(tmp_path / "pipe.stl", *pipe(), binary=True)
     path = tmp_path / "v.msh"
     of = {"thickness": 1.0, "layers": layers, "through": through}
-    vessel.create_vessel(path, surface=stl, size=size, **of)
+    vessel.write_vessel(path, surface=stl, size=size, **of)
     wall = read_wall_arrays(path)
     watertight(wall)
     volume = volumes(wall)
@@ -163,7 +163,7 @@ def test_wall_too_thick_for_its_crotches_is_refused(coarse, tmp_path):
     t = wall.facets[wall.surfaces == SURFACE_TAGS["lumen"]]
     stl = write_stl(tmp_path / "lumen.stl", wall.points, t, binary=True)
     with raises(ValueError, "quality of .* less than 0.1"):
-        vessel.create_vessel(tmp_path / "v.msh", surface=stl, size=6.0, thickness=4.0)
+        vessel.write_vessel(tmp_path / "v.msh", surface=stl, size=6.0, thickness=4.0)
     agree([p.name for p in tmp_path.iterdir()] == ["lumen.stl"])
 
 
@@ -186,4 +186,4 @@ def test_bad_surfaces_are_refused(tmp_path, spoil, message):
     x, t = pipe()
     stl = write_stl(tmp_path / "p.stl", x, np.asarray(spoil(x, t)), binary=True)
     with raises(ValueError, message):
-        vessel.create_vessel(tmp_path / "v.msh", surface=stl, size=2.0)
+        vessel.write_vessel(tmp_path / "v.msh", surface=stl, size=2.0)

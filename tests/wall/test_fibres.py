@@ -21,8 +21,8 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.meshes.files import write_msh
-from dolfinx_feti.meshes.tube import create_tube
-from dolfinx_feti.meshes.vessel import create_vessel
+from dolfinx_feti.meshes.tube import write_tube
+from dolfinx_feti.meshes.vessel import write_vessel
 from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.wall import (
     Clamp,
@@ -209,7 +209,7 @@ def test_inlet_is_the_widest_opening(tmp_path, wide):
     """It is the wide end of a cone, at either end."""
 
     def make():
-        create_tube(tmp_path / "t.msh", size=0.4, length=1.0)
+        write_tube(tmp_path / "t.msh", size=0.4, length=1.0)
         w = read_wall_arrays(tmp_path / "t.msh")
         z = w.points[:, 2:]
         factor = 1 + 0.3 * (z if wide == "opening_2" else 1 - z)
@@ -229,7 +229,7 @@ def test_inlet_is_the_widest_opening(tmp_path, wide):
 def vessel(tmp_path_factory):
     """File of a coarse vessel."""
     path = on_first(lambda: tmp_path_factory.mktemp("vessel") / "vessel.msh")
-    on_first(lambda: create_vessel(path, size=2.4))
+    on_first(lambda: write_vessel(path, size=2.4))
     return path
 
 
@@ -286,7 +286,7 @@ def test_weak_gradients_take_their_neighbours_direction(tmp_path):
     One element spans 16° of the tube.
     """
     file = tmp_path / "t.msh"
-    on_first(lambda: create_tube(file, size=0.26, length=2.0))
+    on_first(lambda: write_tube(file, size=0.26, length=2.0))
     found = []
     for comm in (MPI.COMM_SELF, COMM):
         wall = read_wall(file, comm)

@@ -16,7 +16,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, materials
-from dolfinx_feti.meshes.vessel import create_vessel
+from dolfinx_feti.meshes.vessel import write_vessel
 from dolfinx_feti.wall import (
     Clamp,
     Dashpot,
@@ -47,7 +47,7 @@ def wall(tmp_path_factory):
         x, t = pipe(n=12, m=6)
         x[:, 0] += 0.03 * x[:, 2] ** 2
         stl = write_stl(path.with_suffix(".stl"), x, t, binary=True)
-        return create_vessel(path, surface=stl, size=2.0, thickness=1.5, layers={"wall": 1.0})
+        return write_vessel(path, surface=stl, size=2.0, thickness=1.5, layers={"wall": 1.0})
 
     quality = on_first(make)
     agree(quality.minimum >= 0.1 and quality.cells < 1500, quality)
