@@ -208,7 +208,7 @@ def require_regular_interior_blocks(pattern: Pattern, operator: SchurOperator) -
         return
     options = pattern.analysis.interior_options
     motions = on_subdomains(
-        lambda: interior_null_vectors(torn, operator.blocks, options), torn.comm
+        lambda: interior_null_vectors(torn, operator.by_subdomain, options), torn.comm
     )
     require_regular_interior(torn, pattern.bodies, motions)
 

@@ -24,7 +24,7 @@ def on_torn_dofs(system: DualFormulation | PrimalFormulation, blocks: Iterable[A
     is_dual = isinstance(system, DualFormulation)
     inverse = system.inverse if is_dual else system.preconditioner.inverse
     own = [np.zeros((system.operator.torn.n, 0))]
-    for K_i, X in zip(inverse.blocks, blocks, strict=True):
+    for K_i, X in zip(inverse.by_subdomain, blocks, strict=True):
         own.append(np.zeros((len(own[0]), X.shape[1])))
         own[-1][K_i.dofs] = X
     return scipy.linalg.block_diag(*COMM.allgather(np.hstack(own)))
@@ -40,4 +40,4 @@ def modes_of(system: DualFormulation) -> SimpleNamespace:
 
 def factors_of(system: DualFormulation) -> list[Factor]:
     """Return the factor of K_ρ of each subdomain."""
-    return [K_i.factor for K_i in system.inverse.blocks]
+    return [K_i.factor for K_i in system.inverse.by_subdomain]

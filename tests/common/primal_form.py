@@ -59,7 +59,7 @@ def create(
     setup = set_up(pattern, within, within)
     S = setup.operator
     copies = within.own(Copies(pattern.torn, S.interfaces, setup.delta))
-    U = [K_i.E_on_interface for K_i in setup.inverse.blocks]
+    U = [K_i.E_on_interface for K_i in setup.inverse.by_subdomain]
     if more is not None:
         U = [np.hstack(pair) for pair in zip(U, more(setup, copies), strict=True)]
     V = within.own(AveragedBasis(copies, U))

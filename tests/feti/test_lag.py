@@ -94,7 +94,8 @@ def test_nothing_is_left_of_an_operator(lag, primal, monkeypatch):
     for factor in (1.0, 1.1, 0.9):
         scale(problem, [factor, 1.0, 1.0, 1.0])
         check(problem, ksp)
-        last = [weakref.ref(S.matrix) for S in ksp.getPythonContext().formulation.operator.blocks]
+        operator = ksp.getPythonContext().formulation.operator
+        last = [weakref.ref(S_i.matrix) for S_i in operator.by_subdomain]
     agree(not any(left) and COMM.allreduce(len(left)) == 8, left)
 
 

@@ -104,7 +104,7 @@ class DualCoarseProblem:
         modes = inverse.modes
         widths = [of_subdomain.E.shape[1] for of_subdomain in modes]
         self._torn = torn
-        self._subdomains = inverse.blocks
+        self._subdomains = inverse.by_subdomain
         self._blocks = consecutive_slices(widths)  # in a coarse vector, (n_c,)
         self.n_c = sum(widths)
         self.N_c = comm.allreduce(self.n_c)
@@ -112,7 +112,7 @@ class DualCoarseProblem:
         self.has_exact_kernel = comm.allreduce(are_exact, op=MPI.LAND)
         self.MG: WeightedColumns | None = None
         with Lifetime() as owned:
-            E = block_columns(torn, [(K_i.dofs, K_i.modes.E) for K_i in inverse.blocks])
+            E = block_columns(torn, [(K_i.dofs, K_i.modes.E) for K_i in inverse.by_subdomain])
             self.G = owned.own(gluing.B.matMult(E))  # G = B E
             E.destroy()
             self.q = owned.own(_diagonal_weight(torn, preconditioner.B_D.matrix, weight))

@@ -171,7 +171,7 @@ def interface_stiffness(V: AveragedBasis, S: SchurOperator) -> Array:
 
 def _product(V: AveragedBasis, S: SchurOperator, i: int, *, is_symmetric: bool) -> Array:
     """Return Y_i = S_iᵀ W_i, (n_{Γ,i}, c_i)."""
-    return S.blocks[i].multiply_panels(V.W[i], transpose=not is_symmetric)
+    return S.by_subdomain[i].multiply_panels(V.W[i], transpose=not is_symmetric)
 
 
 def _fits_single_precision(stiffness: Array) -> bool:

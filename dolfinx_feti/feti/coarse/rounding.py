@@ -65,7 +65,7 @@ def _estimated_norms(S: SchurOperator) -> list[float]:
     subdomains over processes.
     """
     norms = []
-    for S_i in S.blocks:
+    for S_i in S.by_subdomain:
         n_i = len(S_i.subdomain.interface)
         ω = np.random.default_rng(n_i).standard_normal((n_i, 1))
         norms.append(float(np.linalg.norm(S_i.multiply(ω))))

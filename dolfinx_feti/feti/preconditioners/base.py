@@ -157,7 +157,7 @@ class Preconditioner(ABC):
         """
         if self.operator.is_interior_eliminated:
             return Z
-        return Z[self.operator.blocks[i].subdomain.is_on_interface]
+        return Z[self.operator.by_subdomain[i].subdomain.is_on_interface]
 
     def destroy(self) -> None:
         """Free the work vectors."""

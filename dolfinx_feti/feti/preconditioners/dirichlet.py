@@ -37,7 +37,7 @@ class Dirichlet(Preconditioner):
 
     def multiply_panels(self, i: int, W: Panels) -> Array:
         """Return S_i W, (n_{Γ,i}, k)."""
-        return self.operator.blocks[i].multiply_panels(W)
+        return self.operator.by_subdomain[i].multiply_panels(W)
 
     def unbalanced_force(self, w: Array, Yw: Array) -> Array:
         """Return K E_Γ w, (n,), which is S w = Y w."""
@@ -59,7 +59,7 @@ class Dirichlet(Preconditioner):
         """
         if self.operator.is_interior_eliminated:
             return Z
-        S_i = self.operator.blocks[i]
+        S_i = self.operator.by_subdomain[i]
         subdomain = S_i.subdomain
         Z_Γ = Z[subdomain.is_on_interface]
         Z_I = Z[~subdomain.is_on_interface]

@@ -23,7 +23,7 @@ class Lumped(Preconditioner):
 
     def multiply_panels(self, i: int, W: Panels) -> Array:
         """Return K_ΓΓ W, (n_{Γ,i}, k)."""
-        Γ = self.operator.blocks[i].subdomain.interface
+        Γ = self.operator.by_subdomain[i].subdomain.interface
         return multiply_block(self.operator.torn.K, Γ, Γ, W.dense())  # K_ΓΓ W
 
     def unbalanced_force(self, w: Array, Yw: Array) -> Array:

@@ -75,8 +75,8 @@ def create_assembled_product(S: SchurOperator, copies: Copies) -> AssembledProdu
         copies: Copies of the interface dofs.
     """
     if isinstance(S, FormedSchurOperator):
-        return ProductWithNeighbours(S.blocks, copies)
-    return ProductWithoutNeighbours(S.blocks, copies)
+        return ProductWithNeighbours(S.by_subdomain, copies)
+    return ProductWithoutNeighbours(S.by_subdomain, copies)
 
 
 class ProductWithNeighbours(AssembledProduct):

@@ -84,7 +84,7 @@ def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> P
             copies,
             create_assembled_product(S, copies).apply,  # T_i A T_iᵀ, for one i after the other
             # K_i⁺ F on the interface. It equals S_ρ⁻¹ F, because Eᵀ F = 0 for these forces.
-            lambda i, F: setup.inverse.blocks[i].solve_on_interface(F),
+            lambda i, F: setup.inverse.by_subdomain[i].solve_on_interface(F),
             E,
             max_columns=pattern.options.coarse_adaptive,
         )

@@ -113,23 +113,23 @@ class GeneralizedInverse:
     The methods for iterations return an ``ArrayOrNaN``; the others raise their errors.
 
     Attributes:
-        blocks: K_i⁺ of each subdomain.
+        by_subdomain: K_i⁺ of each subdomain.
     """
 
-    def __init__(self, blocks: Sequence[SubdomainInverse], errors: DeferredErrors) -> None:
+    def __init__(self, by_subdomain: Sequence[SubdomainInverse], errors: DeferredErrors) -> None:
         """Take over the inverses of all subdomains of this process.
 
         Args:
-            blocks: K_i⁺ of each subdomain.
+            by_subdomain: K_i⁺ of each subdomain.
             errors: Store for the errors of the methods for iterations.
         """
-        self.blocks = tuple(blocks)
+        self.by_subdomain = tuple(by_subdomain)
         self._errors = errors
 
     @property
     def modes(self) -> tuple[SubdomainModes, ...]:
         """R, Y, E and D of each subdomain."""
-        return tuple(inverse.modes for inverse in self.blocks)
+        return tuple(inverse.modes for inverse in self.by_subdomain)
 
     def E_on_interface(self, comm: MPI.Comm) -> list[Array]:
         """Return E on the interface of each subdomain, (n_{Γ,i}, k + k_Y). Collective.
@@ -140,12 +140,14 @@ class GeneralizedInverse:
         Raises:
             SetUpError: A process has no memory for the copies; on all processes.
         """
-        return on_subdomains(lambda: [inverse.E_on_interface for inverse in self.blocks], comm)
+        return on_subdomains(
+            lambda: [inverse.E_on_interface for inverse in self.by_subdomain], comm
+        )
 
     @property
     def is_single_precision(self) -> bool:
         """Whether a factor of this process is in single precision."""
-        return any(inverse.factor.is_single_precision for inverse in self.blocks)
+        return any(inverse.factor.is_single_precision for inverse in self.by_subdomain)
 
     def solve(self, y: Array) -> ArrayOrNaN:
         """Return K⁺ y, (n,), or K⁺ Y, (n, r), for torn vectors.
@@ -156,7 +158,7 @@ class GeneralizedInverse:
 
         def solve() -> Array:
             x = np.zeros_like(y)
-            for inverse in self.blocks:
+            for inverse in self.by_subdomain:
                 dofs = inverse.dof_index
                 x[dofs] = inverse.solve(y[dofs])  # K_i⁺ y_i
             return x
@@ -167,7 +169,7 @@ class GeneralizedInverse:
     def solve_on_interface(self, F: Array) -> Array:
         """Return K⁺ F restricted to the interface, (n_Γ, r) → (n_Γ, r)."""
         X = np.empty_like(F)
-        for inverse in self.blocks:
+        for inverse in self.by_subdomain:
             rows = inverse.subdomain.interface_rows
             X[rows] = inverse.solve_on_interface(F[rows])  # K_i⁺ F_i
         return X
@@ -181,7 +183,7 @@ class GeneralizedInverse:
 
         def solve() -> Array:
             x = np.empty_like(t)
-            for inverse in self.blocks:
+            for inverse in self.by_subdomain:
                 rows = inverse.subdomain.interface_rows
                 x[rows] = inverse.solve_regularised_on_interface(t[rows])  # K_ρ⁻¹ t_i
             return x
@@ -191,15 +193,15 @@ class GeneralizedInverse:
 
     def count_negative_eigenvalues(self) -> int | None:
         """Return the number of negative eigenvalues of all K_ρ of this process; None if unknown."""
-        return sum_counts([inverse.factor.inertia.negative for inverse in self.blocks])
+        return sum_counts([inverse.factor.inertia.negative for inverse in self.by_subdomain])
 
     def memory(self) -> float:
         """Return the memory of the factors of this process in MiB."""
-        return sum(inverse.factor.memory() for inverse in self.blocks)
+        return sum(inverse.factor.memory() for inverse in self.by_subdomain)
 
     def destroy(self) -> None:
         """Free the factors."""
-        for inverse in self.blocks:
+        for inverse in self.by_subdomain:
             inverse.destroy()
 
 
@@ -217,8 +219,8 @@ def create_generalized_inverse(
     Call it inside of ``on_subdomains``: it may fail on a single process.
 
     Args:
-        S: The Schur complements of the current K. If they are formed, the blocks S_i are inverted;
-            otherwise the blocks K_i of ``S.torn``.
+        S: The Schur complements of the current K. If they are formed, all S_i are inverted;
+            otherwise all K_i of ``S.torn``.
         analysis: The subdomains, and how they are factored.
         near_kernel: The near kernel of the assembled problem on the torn dofs, (n, r).
         fixed: Mask of the torn dofs that are fixed in the local matrices, (n,).
@@ -237,7 +239,7 @@ def create_generalized_inverse(
     stiffness[interface] = torn.stiffness()[interface]
     rigid = [rigid_modes(near_kernel[s.all_dofs], fixed[s.all_dofs]) for s in analysis.subdomains]
     rigid_forces = _estimate_rigid_forces(torn, analysis.subdomains, rigid)
-    blocks = []
+    by_subdomain = []
     with Lifetime() as inverses:  # destroyed if a later subdomain fails
         matrices = subdomain_matrices(S, analysis)
         for matrix, R, rigid_force in zip(matrices, rigid, rigid_forces, strict=True):
@@ -250,15 +252,15 @@ def create_generalized_inverse(
                     matrix, stiffness[matrix.dofs], allow_single_precision=allow_single_precision
                 )
                 factor, modes = find_modes(scaled, scaled.scale_modes(R), rigid_force, options)
-            blocks.append(inverses.own(SubdomainInverse(matrix, factor, modes)))
+            by_subdomain.append(inverses.own(SubdomainInverse(matrix, factor, modes)))
         inverses.release()  # the generalised inverse owns them
-    return GeneralizedInverse(blocks, torn.errors)
+    return GeneralizedInverse(by_subdomain, torn.errors)
 
 
 def subdomain_matrices(S: SchurOperator, analysis: Analysis) -> Sequence[SubdomainMatrix]:
     """Return the matrices that K⁺ inverts: all S_i if the interior is eliminated, else all K_i."""
     if isinstance(S, FormedSchurOperator):
-        return S.blocks
+        return S.by_subdomain
     return create_sparse_matrices(S.torn, analysis)
 
 

@@ -63,13 +63,13 @@ class SchurOperator(ABC):
 
     @property
     @abstractmethod
-    def blocks(self) -> Sequence[SchurComplement]:
+    def by_subdomain(self) -> Sequence[SchurComplement]:
         """S_i of each subdomain; none after :meth:`destroy`."""
 
     @property
     def interfaces(self) -> list[Indices]:
         """Γ of each subdomain, (n_{Γ,i},) each."""
-        return [S_i.subdomain.interface for S_i in self.blocks]
+        return [S_i.subdomain.interface for S_i in self.by_subdomain]
 
     def multiply(self, t: Array) -> ArrayOrNaN:
         """Return S t, (n,) → (n,), for a t that is zero off the interface."""
@@ -94,7 +94,7 @@ class SchurOperator(ABC):
     def multiply_columns(self, X: Array, *, transpose: bool = False) -> Array:
         """Return S X, or Sᵀ X, for interface vectors, (n_Γ, r)."""
         SX = np.empty_like(X)
-        for S_i in self.blocks:
+        for S_i in self.by_subdomain:
             rows = S_i.subdomain.interface_rows
             SX[rows] = S_i.multiply(X[rows], transpose=transpose)  # S_i X_i
         return SX
@@ -131,7 +131,7 @@ class SchurOperator(ABC):
     def _solve_interior(self, y: Array) -> Array:
         """Return K_II⁻¹ y_I of every subdomain, zero elsewhere, (n,)."""
         x = np.zeros_like(y)
-        for S_i in self.blocks:
+        for S_i in self.by_subdomain:
             I = S_i.subdomain.interior  # noqa: E741
             x[I] = S_i.solve_interior(y[I])
         return x
@@ -142,12 +142,12 @@ class SchurOperator(ABC):
         Returns:
             The number; None if a K_II is not factored, or its factor does not count them.
         """
-        factors = [S_i.interior_factor for S_i in self.blocks]
+        factors = [S_i.interior_factor for S_i in self.by_subdomain]
         return sum_counts([None if f is None else f.inertia.negative for f in factors])
 
     def memory(self) -> float:
         """Return the memory of all factors, and of S if it is formed, of this process in MiB."""
-        return sum(S_i.memory() for S_i in self.blocks)
+        return sum(S_i.memory() for S_i in self.by_subdomain)
 
     @abstractmethod
     def destroy(self) -> None:
@@ -158,35 +158,35 @@ class SchurOperator(ABC):
 
 
 class FormedSchurOperator(SchurOperator):
-    """S with formed blocks: the interior is eliminated."""
+    """S with all S_i formed: the interior is eliminated."""
 
     is_interior_eliminated = True
 
-    def __init__(self, torn: Torn, blocks: list[FormedSchurComplement]) -> None:
-        """Take over the blocks of all subdomains of this process."""
-        super().__init__(torn, [S_i.subdomain for S_i in blocks])
-        self._blocks = blocks
+    def __init__(self, torn: Torn, by_subdomain: list[FormedSchurComplement]) -> None:
+        """Take over S_i of all subdomains of this process."""
+        super().__init__(torn, [S_i.subdomain for S_i in by_subdomain])
+        self._by_subdomain = by_subdomain
 
     @property
-    def blocks(self) -> Sequence[FormedSchurComplement]:
+    def by_subdomain(self) -> Sequence[FormedSchurComplement]:
         """S_i of each subdomain; none after :meth:`destroy`."""
-        return self._blocks
+        return self._by_subdomain
 
     def _multiply_on_interface(self, t: Array) -> Array:
         """Return S t for an interface vector, (n_Γ,) → (n_Γ,); raise an error if it fails."""
-        if len(t) and not self._blocks:
+        if len(t) and not self._by_subdomain:
             raise RuntimeError("S has been destroyed")
         St = np.empty_like(t)
-        for S_i in self._blocks:
+        for S_i in self._by_subdomain:
             rows = S_i.subdomain.interface_rows
             St[rows] = S_i.matrix.multiply(t[rows])  # S_i t_i
         return St
 
     def destroy(self) -> None:
         """Free factors and matrices; see :meth:`SchurOperator.destroy`."""
-        for S_i in self._blocks:
+        for S_i in self._by_subdomain:
             S_i.destroy()
-        self._blocks = []
+        self._by_subdomain = []
 
 
 class AppliedSchurOperator(SchurOperator):
@@ -195,23 +195,23 @@ class AppliedSchurOperator(SchurOperator):
     is_interior_eliminated = False
 
     def __init__(
-        self, torn: Torn, blocks: list[AppliedSchurComplement], rows: InterfaceRows | None
+        self, torn: Torn, by_subdomain: list[AppliedSchurComplement], rows: InterfaceRows | None
     ) -> None:
-        """Take over the blocks of all subdomains of this process, and the rows of K.
+        """Take over S_i of all subdomains of this process, and the rows of K.
 
         Args:
             torn: The torn matrix.
-            blocks: S_i of each subdomain.
+            by_subdomain: S_i of each subdomain.
             rows: Rows of K on the interface; None if no K_II is factored, and S is not applied.
         """
-        super().__init__(torn, [S_i.subdomain for S_i in blocks])
-        self._blocks = blocks
+        super().__init__(torn, [S_i.subdomain for S_i in by_subdomain])
+        self._by_subdomain = by_subdomain
         self._rows = rows
 
     @property
-    def blocks(self) -> Sequence[AppliedSchurComplement]:
+    def by_subdomain(self) -> Sequence[AppliedSchurComplement]:
         """S_i of each subdomain; none after :meth:`destroy`."""
-        return self._blocks
+        return self._by_subdomain
 
     def _multiply_on_interface(self, t: Array) -> Array:
         """Return S t for an interface vector, (n_Γ,) → (n_Γ,); raise an error if it fails."""
@@ -223,9 +223,9 @@ class AppliedSchurOperator(SchurOperator):
 
     def destroy(self) -> None:
         """Free factors and matrices; see :meth:`SchurOperator.destroy`."""
-        for S_i in self._blocks:
+        for S_i in self._by_subdomain:
             S_i.destroy()
-        self._blocks = []
+        self._by_subdomain = []
         if self._rows is not None:
             self._rows.destroy()
             self._rows = None
@@ -234,7 +234,7 @@ class AppliedSchurOperator(SchurOperator):
 class InterfaceRows:
     """Rows of K on the interfaces of all subdomains: S t takes two products with them.
 
-    With separate blocks, S t would take four products for each subdomain.
+    With rows of each subdomain, S t would take four products for each subdomain.
     """
 
     def __init__(self, K: PETSc.Mat, interface: Indices, *, is_symmetric: bool) -> None:
@@ -298,19 +298,19 @@ def create_schur_operator(torn: Torn, analysis: Analysis) -> SchurOperator:
 
 def _create_applied(torn: Torn, analysis: Analysis, factors: Lifetime) -> AppliedSchurOperator:
     """Create S with the interior kept; ``factors`` owns all K_II factors until it returns."""
-    blocks = []
+    by_subdomain = []
     work = WorkSpace()
     for analysed in analysis.by_subdomain:
         factor: Factor | None = None
         if analysis.has_interior_factors:
             factor = factors.own(_factor_interior(torn, analysis, analysed, work)[0])
-        blocks.append(AppliedSchurComplement(torn.K, analysed.subdomain, factor))
+        by_subdomain.append(AppliedSchurComplement(torn.K, analysed.subdomain, factor))
     rows: InterfaceRows | None = None
     if analysis.has_interior_factors:
         interface = interface_dofs(analysis.subdomains)
         is_symmetric = analysis.interior_options.is_symmetric
         rows = InterfaceRows(torn.K, interface, is_symmetric=is_symmetric)
-    return AppliedSchurOperator(torn, blocks, rows)
+    return AppliedSchurOperator(torn, by_subdomain, rows)
 
 
 def _create_formed(torn: Torn, analysis: Analysis, factors: Lifetime) -> FormedSchurOperator:
@@ -318,7 +318,7 @@ def _create_formed(torn: Torn, analysis: Analysis, factors: Lifetime) -> FormedS
     diagonal = np.abs(torn.diagonal())
     dense_work = WorkSpace()  # all S_i refer to it
     work = WorkSpace()  # of the factorisations of K_II; freed when this function returns
-    blocks = []
+    by_subdomain = []
     for analysed in analysis.by_subdomain:
         s = analysed.subdomain
         factor, entries = _factor_interior(torn, analysis, analysed, work)
@@ -327,8 +327,8 @@ def _create_formed(torn: Torn, analysis: Analysis, factors: Lifetime) -> FormedS
             if entries is None:
                 entries = _schur_complement_by_solves(torn.K, s, factor)
             S_i = PackedMatrix(entries, len(s.interface), dense_work)
-        blocks.append(FormedSchurComplement(s, factor, S_i, diagonal[s.interface]))
-    return FormedSchurOperator(torn, blocks)
+        by_subdomain.append(FormedSchurComplement(s, factor, S_i, diagonal[s.interface]))
+    return FormedSchurOperator(torn, by_subdomain)
 
 
 def _factor_interior(

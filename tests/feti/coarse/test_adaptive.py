@@ -173,7 +173,7 @@ def test_a_large_bulk_modulus_costs_few_iterations(
 
         def columns(setup, copies):
             S = setup.operator
-            blocks = setup.inverse.blocks
+            blocks = setup.inverse.by_subdomain
             E = [K_i.E_on_interface for K_i in blocks]
             return adaptive_columns(
                 copies,
@@ -228,7 +228,7 @@ def test_rows_in_any_order(torn_grid, create_primal):
     """The lower triangle of a block, row by row."""
     operator = create_primal(torn_grid(**GRID), interior="eliminate").operator
     code = load_block_code(COMM)
-    for i, S_i in enumerate(operator.blocks):
+    for i, S_i in enumerate(operator.by_subdomain):
         n = S_i.matrix.n
         S = S_i.multiply(np.eye(n))
         rows = np.random.default_rng(i).permutation(n)[:5].astype(np.int32)

@@ -217,7 +217,7 @@ def test_transposed_products(solver, torn_grid, read_pattern, lifetime):
     with inserted("test_feti_dirichlet_", {"pc_factor_mat_solver_type": solver}):
         read = read_pattern(problem.A, formulation="primal", interior="auto")
         S = set_up_operator(read, lifetime)
-    for S_i in S.blocks:
+    for S_i in S.by_subdomain:
         n = len(S_i.subdomain.interface)
         X, Y = np.random.default_rng(SEED).standard_normal((2, n, 3))
         transposed = S_i.multiply(Y, transpose=True)

@@ -63,7 +63,7 @@ def blocks(problem, system):
     """Local matrices of this process on the free dofs."""
     K = problem.K_torn
     start = system.torn.first_torn_dof
-    return [K[np.ix_(start + S.dofs, start + S.dofs)] for S in system.inverse.blocks]
+    return [K[np.ix_(start + S.dofs, start + S.dofs)] for S in system.inverse.by_subdomain]
 
 
 @every_type
@@ -82,7 +82,7 @@ def test_algebra_is_exact_for_any_matrix(
     agree(not x[system.pattern.is_fixed].any())
     errors = [0.0]
     negative = 0
-    for K, K_i in zip(blocks(problem, system), system.inverse.blocks, strict=True):
+    for K, K_i in zip(blocks(problem, system), system.inverse.by_subdomain, strict=True):
         dofs = K_i.dofs
         R = np.hstack([K_i.modes.R, K_i.modes.Y])
         E = K_i.modes.E
@@ -207,12 +207,12 @@ def test_rough_factors_only_where_they_precondition(stiff, torn_grid, read_patte
     problem = torn_grid((2, 2), (2, 2), components=2, change=tie)
     read = read_pattern(problem.A, interior="eliminate")
     rough = set_up(read, lifetime, lifetime, is_primal=True)
-    single = {K_i.factor.is_single_precision for K_i in rough.inverse.blocks}
+    single = {K_i.factor.is_single_precision for K_i in rough.inverse.by_subdomain}
     agree(single <= {not stiff}, single)
     y = np.random.default_rng(SEED + 5).standard_normal(read.torn.n)
     approximate = rough.inverse.solve(y)
     fine = to_double_precision(read, rough, lifetime)
-    agree(not any(K_i.factor.is_single_precision for K_i in fine.inverse.blocks))
+    agree(not any(K_i.factor.is_single_precision for K_i in fine.inverse.by_subdomain))
     agree(to_double_precision(read, fine, lifetime) is fine)
     exact = fine.inverse.solve(y)
     small(np.abs(approximate - exact).max(initial=0.0) / np.abs(exact).max(initial=1.0), 1e-4)
@@ -238,7 +238,7 @@ def test_elimination_is_exact(kind, change, way, torn_grid, create_dual):
     torn = system.torn
     operator = system.operator
     fixed = system.pattern.is_fixed
-    fronts = [isinstance(S.interior_factor, FrontFactor) for S in operator.blocks]
+    fronts = [isinstance(S.interior_factor, FrontFactor) for S in operator.by_subdomain]
     expected = way == "fronts" and change is not INDEFINITE
     agree(set(fronts) == {expected}, fronts)
     K = problem.K_torn[
@@ -249,7 +249,7 @@ def test_elimination_is_exact(kind, change, way, torn_grid, create_dual):
     condensed = operator.interface_load(f)
     errors = [0.0]
     negative = 0
-    for S_i in operator.blocks:
+    for S_i in operator.by_subdomain:
         Γ = S_i.subdomain.interface
         free = S_i.subdomain.free_dofs
         inside = np.setdiff1d(free, Γ)

@@ -72,7 +72,7 @@ def test_kernel_is_what_a_singular_value_decomposition_finds(
     system = create_dual(problem.A, type="classical")
     errors = [0.0]
     nullities = []
-    for K_i in system.inverse.blocks:
+    for K_i in system.inverse.by_subdomain:
         rows = K_i.dofs
         R = K_i.modes.R
         K = problem.K_torn[
@@ -148,7 +148,7 @@ def test_kernel_of_a_few_cells(subdomains, kappa, interior, create_dual):
     small(max((np.abs(D).max(initial=0.0) for D in modes.D), default=0.0), 0.0)
     error = 0.0
     matrices = subdomain_matrices(system.operator, system.pattern.analysis)
-    for K, K_i in zip(matrices, system.inverse.blocks, strict=True):
+    for K, K_i in zip(matrices, system.inverse.by_subdomain, strict=True):
         image = K.multiply(K_i.modes.E)
         error = max(error, np.abs(image).max(initial=0.0) / K_i.modes.rho)
     small(error, 1e-11)

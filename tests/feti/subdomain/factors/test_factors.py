@@ -252,7 +252,7 @@ def test_options_that_name_a_solver_are_followed(option, torn_grid, create_dual)
     with inserted("test_feti_local_", {option: {"pc_type": "cholesky"}.get(option, "mumps")}):
         system = create_dual(torn_grid((2, 2), (4, 3)).A, interior="keep")
     agree(all(isinstance(factor, PetscFactor) for factor in factors_of(system)))
-    agree(all(isinstance(S.interior_factor, FrontFactor) for S in system.operator.blocks))
+    agree(all(isinstance(S.interior_factor, FrontFactor) for S in system.operator.by_subdomain))
 
 
 def test_unsymmetric_matrices_and_long_indices_have_pivots(
@@ -260,7 +260,7 @@ def test_unsymmetric_matrices_and_long_indices_have_pivots(
 ):
     read = read_pattern(torn_grid((2, 2), (4, 3), change=unsymmetric(0.01)).A)
     S = set_up_operator(read, lifetime)
-    agree(all(isinstance(S_i.interior_factor, PetscFactor) for S_i in S.blocks))
+    agree(all(isinstance(S_i.interior_factor, PetscFactor) for S_i in S.by_subdomain))
     monkeypatch.setattr(create, "reads_in_place", lambda: False)
     system = create_dual(torn_grid((2, 2), (4, 3)).A, interior="keep")
     agree(all(isinstance(factor, PetscFactor) for factor in factors_of(system)))
