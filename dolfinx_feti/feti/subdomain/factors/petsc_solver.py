@@ -216,8 +216,10 @@ def solve_columns(pc: PETSc.PC, B: PETSc.Mat, X: PETSc.Mat, *, transpose: bool =
         return
     if is_mumps(pc):
         F.setMumpsIcntl(9, 0)  # the transpose
-        F.matSolve(B, X)
-        F.setMumpsIcntl(9, 1)
+        try:
+            F.matSolve(B, X)
+        finally:
+            F.setMumpsIcntl(9, 1)
         return
     for j in range(B.getSize()[1]):
         b = B.getDenseColumnVec(j, mode="r")
