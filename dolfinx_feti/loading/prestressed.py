@@ -16,7 +16,6 @@ fixed point of G, accelerated by Anderson's method, along a path of loads (docs/
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from mpi4py import MPI
 
@@ -29,11 +28,12 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.internal_variables import create_internal_variables
 from dolfinx_feti.fem.nodes import diameter
+from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.fixed_point import MAX_SOLVES, FixedPoint
 from dolfinx_feti.loading.load_step import LoadStep
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import Steps
-from dolfinx_feti.mechanics.values import require_type
+from dolfinx_feti.mechanics.values import require_sequence, require_type
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.problems.solvers import relative_tolerance
 from dolfinx_feti.runtime.collective import on_all
@@ -49,13 +49,20 @@ def prestress(
     *,
     G: dolfinx.fem.Function,
     tolerance: float = 1e-8,
-    **options: Any,
+    state: Sequence[dolfinx.fem.Function] = (),
+    start: float = 0.0,
+    unloading: bool = False,
+    on_step: Callable[[LoadStep], object] | None = None,
+    checkpoint: Checkpoint | None = None,
+    unit: str = "",
 ) -> list[LoadStep]:
     """Compute the G for which a wall under load is in balance at u = 0. Collective.
 
     Afterwards ``follow_load`` can continue from the last load with the same problem. Internal
-    variables stay as they are. Source: M. W. Gee, C. Förster, W. A. Wall, International Journal for
-    Numerical Methods in Biomedical Engineering 26 (2010).
+    variables stay as they are. Arguments that
+    :func:`~dolfinx_feti.loading.load_steps.follow_load` has, too, mean the same. Source: M. W. Gee,
+    C. Förster, W. A. Wall, International Journal for Numerical Methods in Biomedical Engineering 26
+    (2010).
 
     Args:
         problem: The nonlinear problem, with energies in F G⁻¹ per volume of the image, and zero as
@@ -70,27 +77,41 @@ def prestress(
         tolerance: Largest displacement of the last solve, relative to the diagonal of the box
             around the wall. At loads that are no targets, ``steps.rtol`` times the displacement of
             the load's first solve is allowed, if that is larger.
-        options: Other arguments of ``follow_load``, which checks them: ``start``, where u and a
-            condensed pressure are zero, ``state``, ``unloading``, ``on_step``, ``checkpoint``,
-            ``unit``.
+        state: Functions that a solve changes in addition to u, condensed fields and G.
+        start: The present load, at which u and a condensed pressure are zero.
+        unloading: Whether the load may turn back on its way through the targets.
+        on_step: Called in each new equilibrium on all processes.
+        checkpoint: Where each new equilibrium is written.
+        unit: Name of the unit of the load.
 
     Returns:
         The accepted steps; their histories hold the Newton steps of all solves.
 
     Raises:
-        TypeError: G is no Function.
+        TypeError: G is no Function, or another argument has a wrong type.
         ValueError: The tolerance is not positive, or G has another shape, dofs that cells share, or
             det G ≤ 0 somewhere.
         ConvergenceError: A step of the least increment failed.
     """
     require_type(NonlinearProblem, problem=problem)
     require_type(dolfinx.fem.Function, G=G)
+    require_sequence(dolfinx.fem.Function, state=state)
     if not tolerance > 0.0:
         raise ValueError(f"tolerance is {tolerance}: give a positive share of the diameter.")
     on_all(lambda: _check(G, problem.unknown), problem.unknown.function_space.mesh.comm)
-    options["state"] = [*options.get("state", ()), G]
     prestressing = _Prestressing(problem, G, tolerance)
-    return follow_load(prestressing, set_load, targets, steps, **options)
+    return follow_load(
+        prestressing,
+        set_load,
+        targets,
+        steps,
+        state=[*state, G],
+        start=start,
+        unloading=unloading,
+        on_step=on_step,
+        checkpoint=checkpoint,
+        unit=unit,
+    )
 
 
 class _Prestressing(FixedPoint):

@@ -18,13 +18,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
 
 import dolfinx
 import ufl
 
 from dolfinx_feti.errors import ConvergenceError, InadmissibleStartError
 from dolfinx_feti.fem.nodes import Nodes, diameter
+from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.loading.fixed_point import MAX_SOLVES, FixedPoint
 from dolfinx_feti.loading.load_step import LoadStep
 from dolfinx_feti.loading.load_steps import follow_load
@@ -66,13 +66,19 @@ def unload(
     fibres: Sequence[dolfinx.fem.Function] = (),
     tolerance: float = 1e-7,
     on_move: Callable[[], object] | None = None,
-    **options: Any,
+    state: Sequence[dolfinx.fem.Function] = (),
+    start: float = 0.0,
+    unloading: bool = False,
+    on_step: Callable[[LoadStep], object] | None = None,
+    checkpoint: Checkpoint | None = None,
+    unit: str = "",
 ) -> list[LoadStep]:
     """Move the mesh of a wall under load to the shape of the unloaded wall. Collective.
 
     Afterwards the forms of the problem are those of the unloaded wall, and u is the displacement
     that leads to the image. In ``on_step``, at loads on the way, the mesh is the image, and u leads
-    to it from the shape that would be unloaded if the image had been taken at that load.
+    to it from the shape that would be unloaded if the image had been taken at that load. Arguments
+    that :func:`~dolfinx_feti.loading.load_steps.follow_load` has, too, mean the same.
 
     Args:
         problem: The nonlinear problem, with u in a space of displacements.
@@ -87,14 +93,18 @@ def unload(
             the largest displacement is allowed, if that is larger.
         on_move: Called on all processes after the mesh and the fibres have moved, to the unloaded
             wall or back to the image, to update other data that depend on the mesh.
-        options: Other arguments of :func:`~dolfinx_feti.loading.load_steps.follow_load`, which
-            checks them: ``start``, where u and a condensed pressure are zero, ``state``,
-            ``unloading``, ``on_step``, ``checkpoint``, ``unit``.
+        state: Functions that a solve changes in addition to u and condensed fields.
+        start: The present load, at which u and a condensed pressure are zero.
+        unloading: Whether the load may turn back on its way through the targets.
+        on_step: Called in each new equilibrium on all processes.
+        checkpoint: Where each new equilibrium is written.
+        unit: Name of the unit of the load.
 
     Returns:
         The accepted steps; their histories hold the Newton steps of all forward solves.
 
     Raises:
+        TypeError: An argument has a wrong type.
         ValueError: The tolerance is not positive.
         ConvergenceError: A step of the least increment failed; the mesh is the image.
 
@@ -105,12 +115,23 @@ def unload(
     require_sequence(dolfinx.fem.Function, fibres=fibres)
     if not tolerance > 0.0:
         raise ValueError(f"tolerance is {tolerance}: give a positive share of the diameter.")
-    unloading = _Unloading(problem, fibres, tolerance, on_move)
-    accepted = follow_load(unloading, set_load, targets, steps, **options)
+    fixed_point = _Unloading(problem, fibres, tolerance, on_move)
+    accepted = follow_load(
+        fixed_point,
+        set_load,
+        targets,
+        steps,
+        state=state,
+        start=start,
+        unloading=unloading,
+        on_step=on_step,
+        checkpoint=checkpoint,
+        unit=unit,
+    )
     try:
-        unloading.move_to_unloaded()
+        fixed_point.move_to_unloaded()
     except BaseException:
-        unloading.move_to_image()
+        fixed_point.move_to_image()
         raise
     return accepted
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from pathlib import Path
 from typing import Any
@@ -345,3 +346,12 @@ def test_first_guess_of_a_prestress_is_the_identity():
     scan.G.x.array[:] = 0.0
     with raises(ValueError, "det G = 0 somewhere: let G be the identity at first"):
         scan.find(1.0)
+
+
+@pytest.mark.parametrize("path", [prestress, unload])
+def test_a_scan_has_the_arguments_of_a_path(path):
+    """By name and with the same defaults, so that help() shows them."""
+    given = inspect.signature(path).parameters
+    for name, parameter in inspect.signature(follow_load).parameters.items():
+        default = given[name].default
+        agree(default == parameter.default, f"{name}={default}")
