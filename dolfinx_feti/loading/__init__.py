@@ -11,8 +11,8 @@ files: ``archive`` (arrays), ``identity`` (is it this problem?) and ``checkpoint
 load or a time. *The paper* is Augustin, Holzapfel and Steinbach (2014), see docs/equations.md.
 
 In the order of the data: tolerances, archive, identity, checkpoint, places, state, load_step,
-step_length, steps, progress, problem, fixed_point, stepper, motion, dashpots, load_steps, unloaded,
-prestressed, time_steps.
+time_step, step_length, steps, progress, problem, fixed_point, stepper, motion, dashpots,
+load_steps, unloaded, prestressed, time_steps.
 """
 
 from dolfinx_feti.loading.checkpoint import Checkpoint
@@ -20,8 +20,9 @@ from dolfinx_feti.loading.load_step import LoadStep
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.motion import Motion
 from dolfinx_feti.loading.prestressed import prestress
-from dolfinx_feti.loading.steps import Steps
-from dolfinx_feti.loading.time_steps import TimeStep, TimeSteps, follow_time
+from dolfinx_feti.loading.steps import Steps, TimeSteps
+from dolfinx_feti.loading.time_step import TimeStep
+from dolfinx_feti.loading.time_steps import follow_time
 from dolfinx_feti.loading.unloaded import unload
 
 __all__ = [

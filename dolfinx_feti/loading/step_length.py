@@ -9,10 +9,16 @@ L, so that the target is met exactly:
 .. math:: t ← t + (T - t) / \lceil |T - t| / L \rceil.
 
 A step that fails is repeated with half its length, until that is the least. How L changes after a
-step that succeeded is the rule. Each rule is a class: :class:`GrowthAfterQuickSteps` for load
-steps, ``time_steps.ErrorControl`` for time steps. The method ``length_rule`` of the settings
-(``steps.Steps``, ``time_steps.TimeSteps``) creates it. For a further rule, override that method in
-a subclass of the settings; parameters of the rule are fields of that subclass.
+step that succeeded is the rule: one class for each, and a method ``length_rule`` of its settings
+that creates it (``steps``).
+
+Load steps grow after quick ones. Time steps are adapted to their estimated error e: after a step of
+length Δt the present length becomes
+
+.. math:: L ← \min(\max(L, g\, Δt),\ Δt\, \max(½,\ 0.9\, (\mathrm{tol}/e)^{1/3})),
+
+where g is the largest growth, and L stays between the least and the longest length. Δt is shorter
+than L if a target is to be met.
 """
 
 from __future__ import annotations
@@ -23,13 +29,22 @@ from collections.abc import Mapping
 from typing import Generic, TypeVar
 
 from dolfinx_feti.loading.load_step import LoadStep
+from dolfinx_feti.loading.time_step import TimeStep
 
-__all__ = ["GrowthAfterQuickSteps", "StepLengthRule"]
+__all__ = ["ErrorControl", "GrowthAfterQuickSteps", "StepLengthRule"]
 
 #: Rounding error of a length, relative to it and to the place where it begins. A sum of 10⁴ equal
 #: steps errs by up to 5e-13. With 0, a target that is 1e-16 beyond a whole number of steps takes
 #: one step more; with 1e-6, steps would be longer than the user allows.
 ROUNDING = 1e-12
+
+#: Length of the next step over the length whose predicted error is the tolerance. With 0.9 an error
+#: may be a third larger than predicted (0.9⁻³ = 1.37) before a step is repeated.
+SAFETY = 0.9
+
+#: Shortest length of the next step over that of an accepted one: no shorter than after a failure,
+#: which halves it, too.
+MIN_SHRINKAGE = 0.5
 
 Step = TypeVar("Step", contravariant=True)
 
@@ -124,3 +139,32 @@ class GrowthAfterQuickSteps(StepLengthRule[LoadStep]):
         is_quick = new_tangents - n_updates <= self.quick
         if step.failures == 0 and is_quick:
             self.present = max(self.present, self.growth * abs(step.increment))
+
+
+class ErrorControl(StepLengthRule[TimeStep]):
+    """Time steps whose estimated error is about the tolerance; see the head of the file.
+
+    Attributes:
+        longest: The longest length [s].
+        growth: Largest factor from one step to the next.
+        tolerance: Error of the displacement in a step [mm]; None to let steps grow to the longest
+            one.
+    """
+
+    def __init__(
+        self, first: float, least: float, *, longest: float, growth: float, tolerance: float | None
+    ) -> None:
+        """Create the rule; see :class:`~dolfinx_feti.loading.steps.TimeSteps`."""
+        super().__init__(first, least)
+        self.longest = longest
+        self.growth = growth
+        self.tolerance = tolerance
+
+    def adapt(self, step: TimeStep, *, n_updates: int) -> None:
+        """Choose the length from that of the step, Δt, and its error."""
+        dt = step.increment
+        length = max(self.present, self.growth * dt)
+        if self.tolerance is not None and step.error > 0.0:
+            factor = SAFETY * (self.tolerance / step.error) ** (1.0 / 3.0)  # the error is O(Δt³)
+            length = min(length, dt * max(MIN_SHRINKAGE, factor))
+        self.present = max(min(self.longest, length), self.least)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Settings of load steps: how long they are, and how accurate on the way to a target."""
+"""Settings of load steps and of time steps: how long they are, and how accurate on the way."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import math
 from dataclasses import dataclass
 
 from dolfinx_feti.loading.load_step import LoadStep
-from dolfinx_feti.loading.step_length import GrowthAfterQuickSteps, StepLengthRule
+from dolfinx_feti.loading.step_length import ErrorControl, GrowthAfterQuickSteps, StepLengthRule
+from dolfinx_feti.loading.time_step import TimeStep
 from dolfinx_feti.mechanics.values import require_number, require_positive, require_within
 
-__all__ = ["LengthSettings", "Steps"]
+__all__ = ["LengthSettings", "Steps", "TimeSteps"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,3 +69,42 @@ class Steps(LengthSettings):
     def length_rule(self) -> StepLengthRule[LoadStep]:
         """Create the rule for the lengths; a subclass with another rule overrides this."""
         return GrowthAfterQuickSteps(self.first, self.least, growth=self.growth, quick=self.quick)
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSteps(LengthSettings):
+    """How to choose the lengths of time steps [s].
+
+    Attributes:
+        longest: The longest length [s]; the first one if not given.
+        tolerance: Largest estimated error of the displacement in a step [mm]; if not given, steps
+            grow to the longest length.
+    """
+
+    longest: float | None = None
+    tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        LengthSettings.__post_init__(self)
+        remedy = f"a number not below first={self.first}"
+        require_number(longest=self.longest_length)
+        require_within(self.first, math.inf, {"longest": self.longest_length}, remedy=remedy)
+        if self.tolerance is not None:
+            require_number(tolerance=self.tolerance)
+            require_positive(tolerance=self.tolerance)
+
+    @property
+    def longest_length(self) -> float:
+        """The longest length [s], also if it is not given."""
+        return self.first if self.longest is None else self.longest
+
+    def length_rule(self) -> StepLengthRule[TimeStep]:
+        """Create the rule for the lengths; another rule is a subclass that overrides this."""
+        return ErrorControl(
+            self.first,
+            self.least,
+            longest=self.longest_length,
+            growth=self.growth,
+            tolerance=self.tolerance,
+        )

@@ -3,13 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Time steps: the motion of a problem with inertia, in steps that are fixed or adapted.
 
-A step that fails, or whose estimated error e is above the tolerance, is repeated from the last
-state with half its length. After a step of length Δt that succeeded, the present length L becomes
-
-.. math:: L ← \min(\max(L, g\, Δt),\ Δt\, \max(½,\ 0.9\, (\mathrm{tol}/e)^{1/3})),
-
-where g is the largest growth, and L stays between the least and the longest length. Δt is shorter
-than L if a target is to be met. The balance of energies is
+A step that fails, or whose estimated error is above the tolerance, is repeated from the last state
+with half its length. The rule for the lengths is ``ErrorControl`` (``step_length``). The balance of
+energies is
 
 .. math:: T_{n+1} - T_n + Π_{n+1} - Π_n + D = W + O(Δt^3), \qquad
           W = ½\, (f_n + f_{n+1}) · (u_{n+1} - u_n),
@@ -22,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from numbers import Real
 from typing import NamedTuple
 
@@ -39,81 +35,15 @@ from dolfinx_feti.loading.load_step import LoadStep
 from dolfinx_feti.loading.motion import Motion, dirichlet_dofs
 from dolfinx_feti.loading.places import check_places
 from dolfinx_feti.loading.state import PathState
-from dolfinx_feti.loading.step_length import StepLengthRule
 from dolfinx_feti.loading.stepper import Stepper
-from dolfinx_feti.loading.steps import LengthSettings
-from dolfinx_feti.mechanics.values import (
-    require_number,
-    require_positive,
-    require_sequence,
-    require_type,
-    require_within,
-)
+from dolfinx_feti.loading.steps import TimeSteps
+from dolfinx_feti.loading.time_step import TimeStep
+from dolfinx_feti.mechanics.values import require_sequence, require_type
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 
-__all__ = ["TimeStep", "TimeSteps", "follow_time"]
-
-#: Length of the next step over the length whose predicted error is the tolerance. With 0.9 an error
-#: may be a third larger than predicted (0.9⁻³ = 1.37) before a step is repeated.
-SAFETY = 0.9
-
-#: Shortest length of the next step over that of an accepted one: no shorter than after a failure,
-#: which halves it, too.
-MIN_SHRINKAGE = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class TimeSteps(LengthSettings):
-    """How to choose the lengths of time steps [s].
-
-    Attributes:
-        longest: The longest length [s]; the first one if not given.
-        tolerance: Largest estimated error of the displacement in a step [mm]. If not given, steps
-            grow up to ``longest``, and are shortened only if they fail.
-    """
-
-    longest: float | None = None
-    tolerance: float | None = None
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        LengthSettings.__post_init__(self)
-        remedy = f"a number not below first={self.first}"
-        require_number(longest=self.longest_length)
-        require_within(self.first, math.inf, {"longest": self.longest_length}, remedy=remedy)
-        if self.tolerance is not None:
-            require_number(tolerance=self.tolerance)
-            require_positive(tolerance=self.tolerance)
-
-    @property
-    def longest_length(self) -> float:
-        """The longest length [s]: ``longest``, or ``first`` if that is not given."""
-        return self.first if self.longest is None else self.longest
-
-    def length_rule(self) -> StepLengthRule[TimeStep]:
-        """Create the rule for the lengths; a subclass with another rule overrides this."""
-        return ErrorControl(self)
-
-
-@dataclass(frozen=True, slots=True)
-class TimeStep(LoadStep):
-    """An accepted time step. Its attribute ``load`` is the time at its end [s].
-
-    Attributes:
-        kinetic: Kinetic energy at its end [mN mm].
-        stored: Energy of the material at its end, if it was given; else NaN [mN mm].
-        work: Work of the external forces in it, if they were given; else NaN [mN mm].
-        dissipated: Work on dashpots, and on all else in the forms that resists the rate [mN mm].
-        error: Estimated error of the displacement [mm].
-    """
-
-    kinetic: float
-    stored: float
-    work: float
-    dissipated: float
-    error: float
+__all__ = ["follow_time"]
 
 
 def follow_time(
@@ -341,22 +271,3 @@ class _TimeStepper(Stepper[TimeStep]):
             dissipated=float(dissipated),
             error=error,
         )
-
-
-class ErrorControl(StepLengthRule[TimeStep]):
-    """Time steps whose estimated error is about the tolerance; see the head of the file."""
-
-    def __init__(self, steps: TimeSteps) -> None:
-        """Create the rule with the first length."""
-        super().__init__(steps.first, steps.least)
-        self._steps = steps
-
-    def adapt(self, step: TimeStep, *, n_updates: int) -> None:
-        """Choose the length from that of the step, Δt, and its error."""
-        dt = step.increment
-        tolerance = self._steps.tolerance
-        length = max(self.present, self._steps.growth * dt)
-        if tolerance is not None and step.error > 0.0:
-            factor = SAFETY * (tolerance / step.error) ** (1.0 / 3.0)  # the error is O(Δt³)
-            length = min(length, dt * max(MIN_SHRINKAGE, factor))
-        self.present = max(min(self._steps.longest_length, length), self.least)
