@@ -86,7 +86,7 @@ class Contacts:
         for contact in self.contacts:
             contact.prepare(compiler)
 
-    def require_penalties(self, system: System) -> None:
+    def choose_missing_penalties(self, system: System) -> None:
         """Choose the penalties that are not set yet, by the present stiffness. Collective."""
         missing = [contact for contact in self.contacts if not contact.has_penalty()]
         if missing:

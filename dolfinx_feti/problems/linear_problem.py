@@ -38,8 +38,8 @@ from dolfinx_feti.problems.unknowns.linear_blocks import LinearBlocks, arrange_l
 from dolfinx_feti.problems.unknowns.mixed_of_one import MixedOfOne, is_mixed_of_one
 from dolfinx_feti.problems.volume_multipliers import (
     VolumeMultipliers,
+    VolumeUpdates,
     create_volume_multipliers,
-    set_multipliers,
 )
 from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.runtime.collective import on_all
@@ -198,7 +198,7 @@ class LinearProblem(TornProblem):
         )
         self.history: list[NewtonStep] = []
         self.volume_changes: list[float] = []
-        self._volume_tolerance = create_volume_multipliers(
+        self._volume_multipliers = create_volume_multipliers(
             self._system,
             kappa=kappa,
             volume_tolerance=volume_tolerance,
@@ -262,13 +262,13 @@ class LinearProblem(TornProblem):
         on_all(lambda: check_linear_solver(self.solver, "problem.solver"), self._system.comm)
         self.history = []
         self.volume_changes = []
-        if self._volume_tolerance is None:
+        if self._volume_multipliers is None:
             self._solve(assembles_matrix=True)
         else:
-            self._solve_with_multipliers(self._volume_tolerance)
+            self._solve_with_multipliers(self._volume_multipliers)
         return self.u
 
-    def _solve_with_multipliers(self, tolerance: float) -> None:
+    def _solve_with_multipliers(self, multipliers: VolumeMultipliers) -> None:
         """Solve and update the multipliers in turn. Collective.
 
         The fields of the system are zero during each solve. Between solves they hold the solution,
@@ -282,7 +282,7 @@ class LinearProblem(TornProblem):
         if fields is None:
             raise RuntimeError("A problem without condensed fields has no multipliers.")
         zero = system.state.values().p
-        set_multipliers(system, zero)
+        multipliers.set(zero)
 
         def solve(update: int) -> bool:
             fields.set_values(zero)
@@ -290,10 +290,10 @@ class LinearProblem(TornProblem):
             fields.set_values(np.concatenate([field.x.array for field in self._fields]))
             return True
 
-        multipliers = VolumeMultipliers(system, tolerance, is_relative=True)
-        self.volume_changes = multipliers.violations
+        updates = VolumeUpdates(multipliers, multipliers.tolerance, is_relative=True)
+        self.volume_changes = updates.violations
         try:
-            update_until_met([multipliers], solve)
+            update_until_met([updates], solve)
         finally:
             fields.set_values(zero)
 

@@ -57,9 +57,8 @@ from dolfinx_feti.problems.unknowns.mixed_of_one import MixedOfOne, is_mixed_of_
 from dolfinx_feti.problems.unknowns.nonlinear_blocks import NonlinearBlocks, arrange_nonlinear
 from dolfinx_feti.problems.volume_multipliers import (
     VOLUME_TOLERANCE,
-    VolumeMultipliers,
+    VolumeUpdates,
     create_volume_multipliers,
-    set_multipliers_to_pressure,
 )
 from dolfinx_feti.runtime.arrays import Integers
 from dolfinx_feti.runtime.collective import on_all
@@ -289,7 +288,7 @@ class NonlinearProblem(TornProblem):
             ),
         )
         self.u = u
-        self._volume_tolerance = create_volume_multipliers(
+        self._volume_multipliers = create_volume_multipliers(
             self._system,
             kappa=kappa,
             volume_tolerance=volume_tolerance,
@@ -383,7 +382,7 @@ class NonlinearProblem(TornProblem):
         Returns:
             Identity of the tangent; the matrix holds the tangent until the next assembly.
         """
-        self._contacts.require_penalties(self._system)
+        self._contacts.choose_missing_penalties(self._system)
         return self._system.linearise()
 
     def _balance(self) -> Balance:
@@ -459,7 +458,7 @@ class NonlinearProblem(TornProblem):
         self._history_before_update = []
         self.volume_changes = []
         self.contact_violations = []
-        if self._volume_tolerance is None and not self._contacts:
+        if self._volume_multipliers is None and not self._contacts:
             self._run(start)
         else:
             self._run_with_multipliers(start)
@@ -532,10 +531,10 @@ class NonlinearProblem(TornProblem):
         self._contacts.fit_multipliers()
         reference_norm = min(self.residual_norm(), start.reference_norm)  # with λ = p
         kinds: list[MultiplierUpdates] = []
-        if self._volume_tolerance is not None:
+        if self._volume_multipliers is not None:
             # a looser solve does not determine p, and so the volume, any better than its tolerance
-            tolerance = max(self._volume_tolerance, relative_tolerance(self.solver))
-            volume = VolumeMultipliers(self._system, tolerance)
+            tolerance = max(self._volume_multipliers.tolerance, relative_tolerance(self.solver))
+            volume = VolumeUpdates(self._volume_multipliers, tolerance)
             kinds.append(volume)
             self.volume_changes = volume.violations
         if self._contacts:
@@ -558,13 +557,13 @@ class NonlinearProblem(TornProblem):
         self._contacts.update_pressures()
 
     def _begin_with_present_pressures(self) -> None:
-        """Choose missing penalties of contacts, and set λ = p if there is a volume tolerance.
+        """Choose missing penalties of contacts, and set λ = p if there are volume multipliers.
 
         Collective.
         """
-        self._contacts.require_penalties(self._system)
-        if self._volume_tolerance is not None:
-            set_multipliers_to_pressure(self._system)
+        self._contacts.choose_missing_penalties(self._system)
+        if self._volume_multipliers is not None:
+            self._volume_multipliers.set_to_pressure()
 
     @property
     def internal_variables(self) -> tuple[dolfinx.fem.Function, ...]:

@@ -22,7 +22,7 @@ from dolfinx_feti.problems.equations.system import System
 from dolfinx_feti.problems.incompressible import make_fields_solvable, multiplier_tolerance
 from dolfinx_feti.problems.multipliers import MultiplierUpdates
 from dolfinx_feti.runtime.anderson import Anderson
-from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.runtime.arrays import Array, Integers
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.norms import max_norm
 
@@ -32,8 +32,8 @@ VOLUME_TOLERANCE = 1e-8
 
 def create_volume_multipliers(
     system: System, *, kappa: float | None, volume_tolerance: float | None, default_tolerance: float
-) -> float | None:
-    """Choose the modulus of incompressible fields, and create multipliers if they have a tolerance.
+) -> VolumeMultipliers | None:
+    """Choose the modulus of incompressible fields, and create multipliers if there are to be any.
 
     Collective.
 
@@ -44,7 +44,7 @@ def create_volume_multipliers(
         default_tolerance: Tolerance of an incompressible field without one.
 
     Returns:
-        The tolerance of the multipliers; None if there are none.
+        The multipliers; None if there are none.
 
     Raises:
         ValueError: The state does not determine κ, and none was given; the tolerance is not
@@ -57,92 +57,108 @@ def create_volume_multipliers(
         has_incompressible_field=system.forms.compression is not None,
     )
     constraint_sizes = make_fields_solvable(system, kappa, tolerance)
-    if tolerance is not None:
-        _create_multipliers(system, tolerance, constraint_sizes)
-    return tolerance
+    if tolerance is None:
+        return None
+    return VolumeMultipliers(system, tolerance, constraint_sizes)
 
 
-def _create_multipliers(
-    system: System, tolerance: float, constraint_sizes: Sequence[float] | None
-) -> None:
-    """Create multipliers λ = 0 in the equations of condensed pressures. Collective.
+class VolumeMultipliers:
+    """The multipliers λ of a problem, one for each dof of its condensed pressures.
 
-    Args:
-        system: The equations.
-        tolerance: The volume tolerance.
-        constraint_sizes: Size |c| of the constraint of each condensed field, by which its change is
-            divided; 1 for all if None.
-
-    Raises:
-        ValueError: The tolerance is not positive, no pressure is condensed, or one is no scalar.
+    Attributes:
+        comm: Communicator of the problem.
+        tolerance: Bound of abs(mean J − 1) in each cell; in a linear problem relative to that of
+            the first solve.
     """
-    if not tolerance > 0.0:
-        raise ValueError(f"volume_tolerance is {tolerance}: give a number above zero, or None.")
-    if system.condensation is None:
-        raise ValueError(
-            "volume_tolerance is given, but no pressure: pass condense=p, with p in the energy."
-        )
-    system.condensation.create_multipliers(constraint_sizes)
+
+    def __init__(
+        self, system: System, tolerance: float, constraint_sizes: Sequence[float] | None
+    ) -> None:
+        """Create multipliers λ = 0 in the equations of condensed pressures. Collective.
+
+        Args:
+            system: The equations.
+            tolerance: The volume tolerance.
+            constraint_sizes: Size |c| of the constraint of each condensed field, by which its
+                change is divided; 1 for all if None.
+
+        Raises:
+            ValueError: The tolerance is not positive, no pressure is condensed, or one is no
+                scalar.
+        """
+        if not tolerance > 0.0:
+            raise ValueError(f"volume_tolerance is {tolerance}: give a number above zero, or None.")
+        if system.condensation is None:
+            raise ValueError(
+                "volume_tolerance is given, but no pressure: pass condense=p, with p in the energy."
+            )
+        system.condensation.create_multipliers(constraint_sizes)
+        self.comm = system.comm
+        self.tolerance = tolerance
+        self._system = system
+        self._fields = system.condensation
+
+    @property
+    def ends(self) -> Integers:
+        """Where the values of each field but the last end in arrays such as :meth:`pressure`."""
+        return np.cumsum([len(f.x.array) for f in self._fields.fields])[:-1]
+
+    def pressure(self) -> Array:
+        """Return the present pressures, with ghosts, as in ``StateValues.p``."""
+        return self._system.state.values().p
+
+    def set(self, pressure: Array) -> float:
+        """Set λ to a pressure, given as :meth:`pressure` returns it. Collective.
+
+        Returns:
+            The largest change of the mean of r_p(0, λ) in a cell, each field relative to its |c|.
+        """
+        change = on_all(lambda: self._fields.set_multipliers(pressure), self.comm)
+        return float(self.comm.allreduce(change, op=MPI.MAX))
+
+    def set_to_pressure(self) -> float:
+        """Set λ to the pressure p of the present state. Collective.
+
+        Returns:
+            The largest abs(mean J − 1) of a cell, if p has solved its equation with the λ before:
+            that is J − 1 = (p − λ)/κ, so that the change of λ measures the volume.
+        """
+        return self.set(self.pressure())
 
 
-def set_multipliers(system: System, pressure: Array) -> float:
-    """Set λ to a pressure, given as in ``StateValues.p``. Collective.
-
-    Returns:
-        The largest change of the mean of r_p(0, λ) in a cell, each field relative to its |c|.
-    """
-    fields = system.condensation
-    if fields is None:
-        raise RuntimeError("A system without condensed fields has no multipliers.")
-    change = on_all(lambda: fields.set_multipliers(pressure), system.comm)
-    return float(system.comm.allreduce(change, op=MPI.MAX))
-
-
-def set_multipliers_to_pressure(system: System) -> float:
-    """Set λ to the pressure p of the present state. Collective.
-
-    Returns:
-        The largest abs(mean J − 1) of a cell, provided that p solves its equation with the previous
-        λ. Then J − 1 = (p − λ)/κ, and the change of λ measures the volume.
-    """
-    return set_multipliers(system, system.state.values().p)
-
-
-class VolumeMultipliers(MultiplierUpdates):
+class VolumeUpdates(MultiplierUpdates):
     """The updates of λ in one solve.
 
     Attributes:
         violations: The largest abs(mean J − 1) of a cell after each solve.
     """
 
-    def __init__(self, system: System, tolerance: float, *, is_relative: bool = False) -> None:
+    def __init__(
+        self, multipliers: VolumeMultipliers, tolerance: float, *, is_relative: bool = False
+    ) -> None:
         """Create the updates of a solve that begins with λ = p, which the caller has set.
 
         Args:
-            system: The equations; the pressure is λ now.
+            multipliers: The multipliers; the pressure is λ now.
             tolerance: Bound of abs(mean J − 1) in each cell.
             is_relative: Whether the tolerance is a share of the violation after the first solve.
         """
-        fields = system.condensation
-        if fields is None:
-            raise RuntimeError("A system without condensed fields has no multipliers.")
         self.violations: list[float] = []
-        self._system = system
+        self._multipliers = multipliers
         self._tolerance = tolerance
         self._is_relative = is_relative
-        self._ends = np.cumsum([len(f.x.array) for f in fields.fields])[:-1]
-        self._λ = system.state.values().p
+        self._λ = multipliers.pressure()
         self._p = self._λ.copy()  # of the last solve
         self._scale = np.ones_like(self._λ)  # of the field that an entry belongs to
         # Ghosts are included in scalar products, as the owned entries of several fields are not
         # contiguous. Cells of two processes then count twice, which does no harm: the weights of
         # Anderson's least-squares problem are arbitrary.
-        self._anderson = Anderson(system.comm, len(self._λ))
+        self._anderson = Anderson(multipliers.comm, len(self._λ))
 
     def end_solve(self) -> bool:
         """Set λ to the present pressure; return True if each cell keeps its volume. Collective."""
-        self._p = self._system.state.values().p
-        self.violations.append(set_multipliers_to_pressure(self._system))
+        self._p = self._multipliers.pressure()
+        self.violations.append(self._multipliers.set_to_pressure())
         allowed = self._tolerance
         if self._is_relative:
             allowed *= self.violations[0]
@@ -155,17 +171,17 @@ class VolumeMultipliers(MultiplierUpdates):
             self._choose_scales(change)
         scale = self._scale
         self._λ = scale * self._anderson.next(self._λ / scale, change / scale)
-        set_multipliers(self._system, self._λ)
+        self._multipliers.set(self._λ)
 
     def _choose_scales(self, first_change: Array) -> None:
         """Scale each field by its largest first change, so that fields may differ in unit.
 
         Collective.
         """
-        scales = np.split(self._scale, self._ends)
-        changes = np.split(first_change, self._ends)
+        scales = np.split(self._scale, self._multipliers.ends)
+        changes = np.split(first_change, self._multipliers.ends)
         for scale, change in zip(scales, changes, strict=True):
-            scale[:] = max_norm(self._system.comm, change) or 1.0
+            scale[:] = max_norm(self._multipliers.comm, change) or 1.0
 
     def failure(self) -> str:
         """Return the message of volumes that are not kept, with the remedy."""

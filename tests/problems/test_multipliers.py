@@ -19,7 +19,6 @@ import ufl
 from dolfinx_feti import ConvergenceError, NonlinearProblem
 from dolfinx_feti.loading import Steps, follow_load
 from dolfinx_feti.problems import multipliers
-from dolfinx_feti.problems.volume_multipliers import set_multipliers_to_pressure
 from dolfinx_feti.runtime.anderson import Anderson
 
 ELEMENTS = ["p2-p1d", "q2-p1d", "p2-p0-p0"]
@@ -105,8 +104,9 @@ def test_slope_of_the_potential(element):
     """With multipliers it is the residual, too, where θ and p obey their equations."""
     body = at_rest(COMM, element, 10.0)
     body.deform()
-    system = problem(body, 1e-6)._system
-    set_multipliers_to_pressure(system)
+    with_multipliers = problem(body, 1e-6)
+    with_multipliers._volume_multipliers.set_to_pressure()
+    system = with_multipliers._system
     body.fields[-1].x.array[:] += 0.3
     system.condensation.relax()
     r = system.residual().condensed
