@@ -35,8 +35,9 @@ from benchmarks.common.scaling.traffic import COUNTERS, counted
 from benchmarks.common.walls import first_step
 from dolfinx_feti import FETI
 from dolfinx_feti.comparison import PeakMemory
+from dolfinx_feti.feti.coarse.fronts import SharedFronts
 from dolfinx_feti.feti.coarse.group import GroupFactor
-from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
+from dolfinx_feti.feti.coarse.inverse import RowsOfInverse
 from dolfinx_feti.meshes.walls import open_wall
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_root
@@ -190,7 +191,9 @@ def _iterate(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, iterations: int) -> Non
 def coarse_factor(feti: FETI) -> tuple[float, float]:
     """Return entries and flops of the factor of the coarse matrix; zeros without one."""
     factor = getattr(feti.formulation.coarse.solver, "factor", None)
-    if isinstance(factor, FrontFactor):
+    if isinstance(factor, RowsOfInverse):
+        factor = factor.factor
+    if isinstance(factor, SharedFronts):
         return float(factor.fronts.factor_entries), float(factor.fronts.flops)
     if isinstance(factor, GroupFactor) and factor.ksp is not None:
         F = factor.ksp.getPC().getFactorMatrix()

@@ -34,5 +34,6 @@ dof, take the copy with the smallest number: ``Copies.pair_copies`` numbers the 
 over all processes. Rows with a prescribed value have no pairs, and their columns average to zero.
 
 In the order of the data: rounding, adaptive, basis, dofmap, assembly, averaged, energy, group,
-fronts, solver, null_space, products, zero_energy, primal_problem, weighted_columns, dual_problem.
+fronts, inverse, solver, null_space, products, zero_energy, primal_problem, weighted_columns,
+dual_problem.
 """

@@ -27,7 +27,7 @@ from dolfinx_feti.feti.subdomain.factors.petsc_solver import (
 from dolfinx_feti.feti.subdomain.factors.protocol import FactorInertia
 from dolfinx_feti.feti.subsolver_options import DirectOptions
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.collective import DeferredErrors, on_all
 from dolfinx_feti.runtime.lifetime import Lifetime
 
 #: Rows of N for each process of a group. With fewer rows a process, MUMPS spends its time in
@@ -37,12 +37,15 @@ ROWS_PER_PROCESS = 4000
 
 
 class GroupFactor:
-    """The factor of the group of this process.
+    """The factor of the group of this process; a ``solver.CoarseFactor``.
 
     Attributes:
+        kind: ``factored``.
         group: Communicator of the group.
         ksp: The solver; None if N has no rows.
     """
+
+    kind = "factored"
 
     def __init__(
         self,
@@ -50,7 +53,8 @@ class GroupFactor:
         *,
         options: DirectOptions,
         is_symmetric: bool,
-        zero_pivot: float | None = None,
+        zero_pivot: float | None,
+        errors: DeferredErrors,
     ) -> None:
         """Copy N to each group and factor it. Collective.
 
@@ -59,6 +63,7 @@ class GroupFactor:
             options: Options of the solver.
             is_symmetric: Whether N is symmetric (Cholesky) or not (LU).
             zero_pivot: Multiple of the norm of N up to which a pivot is zero; None for exact zeros.
+            errors: Collector of errors of solves.
 
         Raises:
             MemoryError: Memory or work space ran out; on all processes.
@@ -68,6 +73,8 @@ class GroupFactor:
         comm = N.comm.tompi4py()
         N_c = N.getSize()[0]
         self.group = _create_group(comm, N_c)
+        self._own_rows = slice(*N.getOwnershipRange())
+        self._errors = errors
         self.ksp: PETSc.KSP | None = None
         self._owned = Lifetime()
         try:
@@ -102,9 +109,23 @@ class GroupFactor:
         return self._owned.own(ksp)
 
     @property
+    def processes(self) -> int:
+        """Number of processes of the group."""
+        return int(self.group.size)
+
+    @property
     def inertia(self) -> FactorInertia:
         """Numbers of negative eigenvalues and of zero pivots; None if not reported."""
         return FactorInertia(0, 0) if self.ksp is None else inertia_of(self.ksp.getPC())
+
+    def solve_own_rows(self, b_all: Array) -> Array:
+        """Return the part of N⁻¹ b of this process, (N_c,) → (n_c,). Collective on the group.
+
+        Guarded work must not be collective, as it may fail on one process only. This solve is an
+        exception: MUMPS and PETSc's Krylov methods report a failure on all processes of the group.
+        The result is NaN if it fails.
+        """
+        return self._errors.guard(lambda: self.solve(b_all), b_all.shape)[self._own_rows]
 
     def solve(self, b: Array) -> Array:
         """Solve N x = b. Collective on the group.

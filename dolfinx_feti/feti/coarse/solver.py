@@ -6,11 +6,11 @@
 N is either coarse matrix, (N_c, N_c). It is solved in one of three ways (docs/theory.md, *Coarse
 matrices on several processes*):
 
-- *fronts*: the first process of each computer has a Cholesky factor of all of N (``fronts``), and
+- *fronts* (``fronts``): the first process of each computer has a Cholesky factor of all of N, and
   sends the solution to the others, if N is positive definite and its factor not too large;
-- *inverse*: if N is also small, each process has this factor, and computes from it its own rows of
-  N⁻¹, with which it multiplies;
-- *group*: else each group of processes has a factor of any solver of PETSc (``group``).
+- *inverse* (``inverse``): if N is also small, each process has this factor, and computes from it its
+  own rows of N⁻¹, with which it multiplies;
+- *group* (``group``): else each group of processes has a factor of any solver of PETSc.
 
 A solve gathers b in one collective call. Fronts need a second one for the solution, and a group
 those of its solver. The first call also sums a number of each process, which saves a Krylov method
@@ -19,7 +19,8 @@ a reduction.
 
 from __future__ import annotations
 
-from mpi4py import MPI
+from typing import Protocol
+
 from petsc4py import PETSc
 
 import numpy as np
@@ -27,35 +28,57 @@ import numpy as np
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.feti.coarse.fronts import factor_by_fronts
 from dolfinx_feti.feti.coarse.group import GroupFactor
-from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor
+from dolfinx_feti.feti.coarse.inverse import accurate_inverse
 from dolfinx_feti.feti.subdomain.factors.protocol import FactorInertia
 from dolfinx_feti.feti.subsolver_options import DirectOptions
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.collective import DeferredErrors, error_message, on_all
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.lifetime import Lifetime
 
 #: Rows of the inverse for each process, on average, up to which it is formed. Forming it costs as
 #: much as the product with it saves in 20 to 60 solves (docs/theory.md), and a matrix serves some
 #: 30 solves. Twice as many rows cost four times as much.
 INVERSE_ROWS_PER_PROCESS = 128
 
-#: Condition number in the maximum norm up to which the inverse is used. It multiplies the rounding
-#: errors of a product, and those of a factor hardly. On a cube with rods that are 1e8 times
-#: stiffer, 1e10 takes 1000 iterations instead of 54; 1e5 takes 54, too.
-MAX_INVERSE_CONDITION = 1e8
+
+class CoarseFactor(Protocol):
+    """One way to solve N x = b for a right-hand side that all processes have."""
+
+    @property
+    def kind(self) -> str:
+        """What this is, for a report: ``inverse`` or ``factored``."""
+
+    @property
+    def processes(self) -> int:
+        """Number of processes that share it."""
+
+    @property
+    def inertia(self) -> FactorInertia:
+        """Numbers of negative eigenvalues and of zero pivots; None if not reported."""
+
+    def solve_own_rows(self, b_all: Array) -> Array:
+        """Return the part of N⁻¹ b of this process, (N_c,) → (n_c,). Collective.
+
+        N has rows. If the solve fails, the result is NaN, and the error is collected.
+        """
+
+    def memory(self) -> float | None:
+        """Return its memory on the first process, and of the rows of an inverse on all, in MiB.
+
+        The memory is None if it is not known. Other processes than the first may return any value.
+        """
+
+    def destroy(self) -> None:
+        """Free everything, communicators included."""
 
 
 class CoarseSolver:
     """Direct solver for a coarse matrix N.
 
     Attributes:
-        factor: The factor of this process. One by fronts has entries only on the first of the
-            processes that share it.
-        inverse: Rows of N⁻¹ of this process, (n_c, N_c); None if they are not formed.
+        factor: A factor of N, or rows of N⁻¹.
     """
-
-    factor: FrontFactor | GroupFactor
-    inverse: Array | None
 
     def __init__(
         self,
@@ -87,35 +110,22 @@ class CoarseSolver:
             SetUpError: The options are wrong, the factorisation failed, or N does not have these
                 blocks; on all processes.
         """
-        comm = N.comm.tompi4py()
-        self._comm = comm
-        self._errors = DeferredErrors() if errors is None else errors
-        self._rows = slice(*N.getOwnershipRange())
+        self._comm = N.comm.tompi4py()
         self._gatherer = _Gatherer(N)
-        is_small = N.getSize()[0] <= INVERSE_ROWS_PER_PROCESS * comm.size
-        # Processes that share a factor by fronts: this one alone if it computes rows of the
-        # inverse.
-        self._sharing = MPI.COMM_SELF.Dup() if is_small else processes_of_computer(comm)
-        self.inverse = None
-        factor: FrontFactor | GroupFactor | None = None
         try:
-            if is_symmetric and block_widths is not None:
-                factor = factor_by_fronts(
-                    N, block_widths, self._sharing, options=options, zero_pivot=zero_pivot
-                )
-                if factor is not None and is_small:
-                    self.inverse = _accurate_inverse(N, factor)
-            if factor is None:
-                factor = GroupFactor(
-                    N, options=options, is_symmetric=is_symmetric, zero_pivot=zero_pivot
-                )
+            self.factor = _create_factor(
+                N,
+                options=options,
+                is_symmetric=is_symmetric,
+                errors=DeferredErrors() if errors is None else errors,
+                zero_pivot=zero_pivot,
+                block_widths=block_widths,
+            )
         except Exception as error:
-            self._sharing.Free()
             raise SetUpError(
                 f"The coarse problem could not be factored ({error_message(error)}): look at the "
                 f"options -{options.prefix}…"
             ) from error
-        self.factor = factor
 
     def solve(self, b: PETSc.Vec, x: PETSc.Vec, addend: float = 0.0) -> float:
         """Solve N x = b. Collective.
@@ -130,40 +140,19 @@ class CoarseSolver:
         """
         with event("FETICoarseSolve"):
             b_all, sum_of_addends = self._gatherer.gather_and_sum(b.array_r, addend)
-            if self.inverse is not None:
-                x.array[:] = self.inverse @ b_all
-            elif len(b_all):
-                x.array[:] = self._solve_by_factor(b_all)[self._rows]
+            if len(b_all):
+                x.array[:] = self.factor.solve_own_rows(b_all)
         return sum_of_addends
-
-    def _solve_by_factor(self, b_all: Array) -> Array:
-        """Return all of N⁻¹ b for all of b, (N_c,) → (N_c,); NaN if the solver fails. Collective.
-
-        Guarded work must not be collective, as it may fail on one process only. The solve of a
-        group is an exception: MUMPS and PETSc's Krylov methods report a failure on all of its
-        processes.
-        """
-        if isinstance(self.factor, GroupFactor):
-            return self._errors.guard(lambda: self.factor.solve(b_all), b_all.shape)
-        x_all = np.empty_like(b_all)
-        if self._sharing.rank == 0:
-            x_all[:] = self._errors.guard(lambda: self.factor.solve(b_all), b_all.shape)
-        self._sharing.Bcast(x_all)
-        return x_all
 
     def memory(self) -> float | None:
         """Return the memory of one factor and of all rows of the inverse in MiB. Collective.
 
-        The factor is that of the first process, which has entries in each of the three ways.
+        The factor is that of the first process, which has one in each of the three ways.
 
         Returns:
             The memory, the same on all processes; None if the solver does not report it.
         """
-        of_factor = on_all(self.factor.memory, self._comm)
-        of_inverse = 0 if self.inverse is None else self.inverse.nbytes
-        of_inverse = self._comm.allreduce(of_inverse)
-        memory = None if of_factor is None else of_factor + of_inverse / 2**20
-        return self._comm.bcast(memory)
+        return self._comm.bcast(on_all(self.factor.memory, self._comm))
 
     def inertia(self) -> FactorInertia:
         """Return numbers of negative eigenvalues and zero pivots, if reported. Collective.
@@ -174,51 +163,44 @@ class CoarseSolver:
 
     def __str__(self) -> str:
         """Return how the system is solved, for a report."""
-        if self.inverse is not None:
-            return f"inverse on {_processes(self._comm.size)}"
-        if isinstance(self.factor, GroupFactor):
-            return f"factored on {_processes(self.factor.group.size)}"
-        return f"factored on {_processes(self._sharing.size)}"
+        processes = self.factor.processes
+        return f"{self.factor.kind} on {processes} {'process' if processes == 1 else 'processes'}"
 
     def destroy(self) -> None:
-        """Free the factor and the communicator."""
+        """Free the factor."""
         self.factor.destroy()
-        self._sharing.Free()
 
 
-def _accurate_inverse(N: PETSc.Mat, factor: FrontFactor) -> Array | None:
-    """Return the rows of N⁻¹ of this process, (n_c, N_c). Collective.
-
-    Args:
-        N: Symmetric coarse matrix, (N_c, N_c).
-        factor: Its factor, which has entries on each process.
-
-    Returns:
-        The rows; None if N is too badly conditioned for products with N⁻¹.
-    """
+def _create_factor(
+    N: PETSc.Mat,
+    *,
+    options: DirectOptions,
+    is_symmetric: bool,
+    errors: DeferredErrors,
+    zero_pivot: float | None,
+    block_widths: Numbers | None,
+) -> CoarseFactor:
+    """Factor N in one of the three ways. Collective. Arguments are those of the solver."""
     comm = N.comm.tompi4py()
-    rows = slice(*N.getOwnershipRange())
-
-    def compute_rows() -> Array:
-        unit = np.zeros((N.getSize()[0], rows.stop - rows.start))
-        np.fill_diagonal(unit[rows], 1.0)
-        return np.ascontiguousarray(factor.solve(unit).T)  # columns of N⁻¹ = N⁻ᵀ
-
-    inverse = on_all(compute_rows, comm)
-    norm = np.abs(inverse).sum(axis=1).max(initial=0.0)  # ‖N⁻¹‖∞ is the largest of all processes
-    condition = norm * N.norm(PETSc.NormType.INFINITY)
-    is_accurate = comm.allreduce(bool(condition <= MAX_INVERSE_CONDITION), op=MPI.LAND)
-    return inverse if is_accurate else None
-
-
-def processes_of_computer(comm: MPI.Comm) -> MPI.Comm:
-    """Return the communicator of the processes that share memory with this one. Collective."""
-    return comm.Split_type(MPI.COMM_TYPE_SHARED)
-
-
-def _processes(count: int) -> str:
-    """Return a number of processes in words."""
-    return "1 process" if count == 1 else f"{count} processes"
+    if is_symmetric and block_widths is not None:
+        is_small = N.getSize()[0] <= INVERSE_ROWS_PER_PROCESS * comm.size
+        fronts = factor_by_fronts(
+            N,
+            block_widths,
+            on_each_process=is_small,
+            options=options,
+            zero_pivot=zero_pivot,
+            errors=errors,
+        )
+        if fronts is not None:
+            with Lifetime() as created:
+                created.own(fronts)
+                inverse = accurate_inverse(N, fronts) if is_small else None
+                created.release()
+            return fronts if inverse is None else inverse
+    return GroupFactor(
+        N, options=options, is_symmetric=is_symmetric, zero_pivot=zero_pivot, errors=errors
+    )
 
 
 class _Gatherer:

@@ -12,7 +12,9 @@ import pytest
 from collective import COMM, agree, equal, raises, small, whole
 
 from dolfinx_feti.errors import SetUpError
+from dolfinx_feti.feti.coarse.fronts import SharedFronts
 from dolfinx_feti.feti.coarse.group import GroupFactor
+from dolfinx_feti.feti.coarse.inverse import RowsOfInverse
 from dolfinx_feti.feti.coarse.solver import CoarseSolver
 from dolfinx_feti.feti.subdomain.factors.multifrontal import FrontFactor, Fronts
 from dolfinx_feti.feti.subsolver_options import read_direct_options
@@ -116,12 +118,14 @@ def test_choice_of_the_factor(kind, inverse_rows, factored, monkeypatch):
     system = factored(A, n // COMM.size, zero_pivot=1e-8, block_widths=sizes)
     solver = system.solver
     by_fronts = kind in ("definite", "one block")
-    agree(isinstance(solver.factor, FrontFactor) == by_fronts)
-    agree((solver.inverse is not None) == (by_fronts and inverse_rows > 0), kind)
-    if solver.inverse is not None:
+    has_inverse = by_fronts and inverse_rows > 0
+    expected_way = GroupFactor
+    if by_fronts:
+        expected_way = RowsOfInverse if has_inverse else SharedFronts
+    agree(isinstance(solver.factor, expected_way), kind)
+    if has_inverse:
         own = slice(n // COMM.size * COMM.rank, n // COMM.size * (COMM.rank + 1))
-        equal(solver.inverse, np.linalg.inv(A)[own], 1e-14)
-    if solver.inverse is not None:
+        equal(solver.factor.rows, np.linalg.inv(A)[own], 1e-14)
         agree("inverse" in str(solver))
     pivots = {"singular": (0, 1), "indefinite": (1, 0)}.get(kind, (0, 0))
     agree(solver.inertia() == pivots, (kind, solver.inertia(), pivots))
@@ -144,18 +148,18 @@ def test_a_node_solves_with_one_factor_and_fails_with_it(nodes, factored, monkey
     """Computers of a cluster are simulated by groups of processes, which are not consecutive."""
     monkeypatch.setattr(INVERSE_ROWS, 0)
     if nodes > 1:
-        split = "dolfinx_feti.feti.coarse.solver.processes_of_computer"
+        split = "dolfinx_feti.feti.coarse.fronts.processes_of_computer"
         monkeypatch.setattr(split, lambda comm: comm.Split(comm.rank % nodes, comm.rank))
     system = factored(random_definite(3 * COMM.size), 3, block_widths=np.array([1, 2]))
     solver = system.solver
-    factors = COMM.allreduce(len(solver.factor.values) > 0)
+    factors = COMM.allreduce(solver.factor.factor is not None)
     agree(factors == min(nodes, COMM.size), factors)
-    agree(solver.memory() > 0.0 and solver.inverse is None)
+    agree(solver.memory() > 0.0 and isinstance(solver.factor, SharedFronts))
     equal(*system.solve_random(), 1e-12)
     monkeypatch.setattr(FrontFactor, "solve", lambda *_: 1 / 0)
     agree(bool(np.isnan(system.solve_random()[0]).all()))
     with contextlib.suppress(ZeroDivisionError):
-        solver._errors.raise_first()
+        solver.factor._errors.raise_first()
 
 
 @pytest.mark.parametrize(("shift", "inertia"), [(0.0, (0, 1)), (-1.5, (3, 0)), (-10.0, (7, 0))])
@@ -173,7 +177,7 @@ def test_inverse_is_used_if_it_is_accurate(κ, factored):
     """A nearly singular matrix is solved with its factor, which rounding harms less."""
     own = rows_of_process(8)
     system = factored(np.diag(κ ** (-np.arange(8) / 7)), own, block_widths=np.array([own]))
-    agree((system.solver.inverse is not None) == (κ < 1e10))
+    agree(isinstance(system.solver.factor, RowsOfInverse) == (κ < 1e10))
     computed, expected = system.solve_random()
     small(np.abs(computed / expected - 1.0).max(), 1e-14)
 
@@ -185,9 +189,9 @@ def test_memory_is_in_mebibytes_or_not_known(factored):
     small(solver.memory() - millions / 1.048576, 1e-9 * max(millions, 1))
     own = rows_of_process(60)
     solver = factored(A, own, block_widths=np.array([own])).solver
-    stored = COMM.allreduce(solver.inverse.nbytes)
+    stored = COMM.allreduce(solver.factor.rows.nbytes)
     agree(stored == 8 * 60**2, stored)
-    small(solver.memory() - solver.factor.memory() - stored / 2**20, 1e-9)
+    small(solver.memory() - solver.factor.factor.memory() - stored / 2**20, 1e-9)
     with inserted(PREFIX, {"ksp_type": "cg", "pc_type": "jacobi"}):
         solver = factored(A).solver
     agree(solver.memory() is None and solver.inertia() == (None, None))
