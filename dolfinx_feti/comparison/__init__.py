@@ -6,7 +6,7 @@
 A new solver is an entry of ``SOLVERS``, or of the dict that a user gives to ``compare``: a name and
 PETSc's options. An entry of ``SOLVERS`` is also part of each comparison with the default solvers,
 which docs/comparing.md lists. If it needs a package of PETSc, that is a name in ``PACKAGES``. If it
-uses the torn matrix, as BDDC does, ``Solver.uses_torn_matrix`` and ``create_solver`` change, too.
+uses the torn matrix, as BDDC does, ``Solver.kind`` and ``create_solver`` change, too.
 
 In the order of the data: solvers, run.
 """

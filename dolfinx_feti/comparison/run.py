@@ -21,9 +21,10 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.comparison.solvers import (
-    DIRECT,
+    REFERENCE,
     SOLVERS,
     Solver,
+    SolverKind,
     assembled_system,
     create_solver,
     relative_difference,
@@ -271,10 +272,11 @@ def compare(
             present.append(solver)
     with Lifetime() as owned:
         system = _assemble(problem, owned)
-        outcomes = _solve_by_feti(problem, present, system, owned)
+        feti = [solver for solver in present if solver.kind is SolverKind.FETI]
+        others = [solver for solver in present if solver.kind is not SolverKind.FETI]
+        outcomes = _solve_by_feti(problem, feti, system, owned)
         if definite is None:
             definite = any(outcome.proves_definite for outcome in outcomes.values())
-        others = [solver for solver in present if not solver.is_feti]
         outcomes |= _solve_by_others(others, system, owned, is_definite=definite)
         ordered = {solver.name: outcomes[solver.name] for solver in present}
         return Comparison(
@@ -319,11 +321,11 @@ def _solve_by_feti(
     system: _LinearSystem,
     owned: Lifetime,
 ) -> dict[str, _Outcome]:
-    """Solve by those solvers that are FETI. Collective.
+    """Solve by FETI with the options of each solver. Collective.
 
     Args:
         problem: The problem. The options of a solver replace those of the problem.
-        solvers: All solvers; those that are not FETI are skipped.
+        solvers: The solvers, which are FETI.
         system: The linear system.
         owned: Owner of the solutions, which destroys them.
 
@@ -332,9 +334,8 @@ def _solve_by_feti(
     """
     outcomes = {}
     for solver in solvers:
-        if solver.is_feti:
-            create = partial(problem.create_linear_solver, solver.options)
-            outcomes[solver.name] = _solve(create, system.b, owned)
+        create = partial(problem.create_linear_solver, solver.options)
+        outcomes[solver.name] = _solve(create, system.b, owned)
     return outcomes
 
 
@@ -355,15 +356,14 @@ def _solve_by_others(
     is_spd = is_definite and system.is_symmetric
     if is_spd:
         system.K.setOption(PETSc.Mat.Option.SPD, True)
-    default_direct_solver = Solver(DIRECT, SOLVERS[DIRECT])
     outcomes = {}
     for solver in solvers:
-        if solver == default_direct_solver:
+        if solver.kind is SolverKind.REFERENCE:
             outcomes[solver.name] = _solve_directly(system.K, system.f, owned)
             continue
         create = partial(
             create_solver,
-            system.A if solver.uses_torn_matrix else system.K,
+            system.A if solver.kind is SolverKind.TORN else system.K,
             solver.name,
             solver.options,
             rtol=system.rtol,
@@ -381,19 +381,19 @@ def _results(system: _LinearSystem, outcomes: Mapping[str, _Outcome]) -> tuple[S
         system: The linear system.
         outcomes: Outcomes by the names of solvers, in the order of the results.
     """
-    errors = {}
+    residuals = {}
     for name, outcome in outcomes.items():
-        errors[name] = np.nan
+        residuals[name] = np.nan
         if outcome.x is not None:
             _set_zero(outcome.x, system.dirichlet)
-            errors[name] = relative_residual(system.K, system.f, outcome.x)
+            residuals[name] = relative_residual(system.K, system.f, outcome.x)
     reference = None
-    if errors.get(DIRECT, np.nan) <= REFERENCE_RTOL:
-        reference = outcomes[DIRECT].x
+    if residuals.get(REFERENCE, np.nan) <= REFERENCE_RTOL:
+        reference = outcomes[REFERENCE].x
     results = []
     for name, outcome in outcomes.items():
         note = outcome.note
-        if errors[name] > RESIDUAL_MARGIN * system.rtol and not note:
+        if residuals[name] > RESIDUAL_MARGIN * system.rtol and not note:
             note = f"the residual is above {system.rtol:.0e}"
         difference = np.nan
         if outcome.x is not None and reference is not None:
@@ -402,7 +402,7 @@ def _results(system: _LinearSystem, outcomes: Mapping[str, _Outcome]) -> tuple[S
             SolverResult(
                 solver=name,
                 cost=outcome.cost,
-                relative_residual=errors[name],
+                relative_residual=residuals[name],
                 error_estimate=outcome.error_estimate,
                 difference_to_direct=difference,
                 note=note,
@@ -477,7 +477,7 @@ def _solve_directly(K: PETSc.Mat, f: PETSc.Vec, owned: Lifetime) -> _Outcome:
 
     def solve(*, symmetric: bool) -> tuple[_Outcome, float]:
         """Return the outcome and the relative residual, nan without a solution."""
-        outcome = _solve(partial(create_solver, K, DIRECT, symmetric=symmetric), f, owned)
+        outcome = _solve(partial(create_solver, K, REFERENCE, symmetric=symmetric), f, owned)
         residual = np.nan if outcome.x is None else relative_residual(K, f, outcome.x)
         return outcome, residual
 
@@ -513,10 +513,10 @@ def _checked(solvers: Sequence[str] | Solvers, comm: MPI.Comm) -> list[Solver]:
     options_of_user = solvers if isinstance(solvers, Mapping) else {}
     unknown = [name for name in names if name not in SOLVERS and not options_of_user.get(name)]
     if unknown or not names:
-        problem = f"solvers has {unknown[0]!r}" if unknown else "solvers is empty"
+        cause = f"solvers has {unknown[0]!r}" if unknown else "solvers is empty"
         known = ", ".join(SOLVERS)
         raise ValueError(
-            f"{problem}: choose from {known}, or give a dict of names and PETSc's options."
+            f"{cause}: choose from {known}, or give a dict of names and PETSc's options."
         )
     return [Solver(name, options_of_user.get(name) or SOLVERS[name]) for name in names]
 

@@ -10,6 +10,7 @@ prefix is the solver's name; options of the user in PETSc's database override th
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -19,9 +20,10 @@ from dolfinx_feti.runtime.petsc_options import inserted
 from dolfinx_feti.torn.symmetry import is_symmetric
 
 __all__ = [
-    "DIRECT",
+    "REFERENCE",
     "SOLVERS",
     "Solver",
+    "SolverKind",
     "assembled_system",
     "create_solver",
     "relative_difference",
@@ -47,10 +49,10 @@ SOLVERS: dict[str, Mapping[str, object]] = {
 }
 
 #: The solver of :data:`SOLVERS` whose solution is the reference for the others.
-DIRECT = "mumps"
+REFERENCE = "mumps"
 
 #: Packages that PETSc may be built without, by the names that options have for them. They are
-#: looked for in ``pc_type`` and ``pc_factor_mat_solver_type``, not in options of inner solvers.
+#: looked for in ``pc_type`` and in ``pc_factor_mat_solver_type``, of inner solvers, too.
 PACKAGES = ("mumps", "cholmod", "superlu_dist", "hypre", "ml")
 
 #: Most iterations of a Krylov method: a choice, some twenty times what FETI needs.
@@ -60,6 +62,20 @@ MAX_IT = 2000
 #: vertices. With PETSc's default of one dof the set-up may fail: a subdomain of a ragged partition
 #: has too few constraints.
 VERTEX_NODES = 2
+
+
+class SolverKind(enum.Enum):
+    """How a solver of a comparison is created, and which matrix it gets."""
+
+    #: By the problem, with its torn matrix.
+    FETI = enum.auto()
+    #: A KSP with the torn matrix.
+    TORN = enum.auto()
+    #: A KSP with the assembled matrix.
+    ASSEMBLED = enum.auto()
+    #: The reference with its default options: factors of the assembled matrix, by LU if those of
+    #: Cholesky leave too large a residual.
+    REFERENCE = enum.auto()
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,21 +96,30 @@ class Solver:
         return self.name.replace("-", "_") + "_"
 
     @property
-    def is_feti(self) -> bool:
-        """Whether it is FETI, with the options of the problem or with its own."""
-        has_options_of_feti = all(key.startswith("feti_") for key in self.options)
-        return self.name == "feti" or (bool(self.options) and has_options_of_feti)
+    def kind(self) -> SolverKind:
+        """How it is created; a ``pc_type`` in PETSc's database counts.
 
-    @property
-    def uses_torn_matrix(self) -> bool:
-        """Whether it is BDDC, which uses the torn matrix; options in PETSc's database count."""
+        Options that all begin with ``feti_`` are those of FETI, in place of the problem's. BDDC is
+        the preconditioner that needs the torn matrix.
+        """
+        has_options_of_feti = all(key.startswith("feti_") for key in self.options)
+        if self.name == "feti" or (self.options and has_options_of_feti):
+            return SolverKind.FETI
         of_user = PETSc.Options(self.prefix)
         pc_type = of_user.getString("pc_type", str(self.options.get("pc_type", "")))
-        return bool(pc_type == PETSc.PC.Type.BDDC)
+        if pc_type == PETSc.PC.Type.BDDC:
+            return SolverKind.TORN
+        if self.name == REFERENCE and self.options == SOLVERS[REFERENCE]:
+            return SolverKind.REFERENCE
+        return SolverKind.ASSEMBLED
 
     def missing_package(self) -> str:
-        """Return the package that the solver needs and PETSc lacks; an empty string if none."""
-        used = {self.options.get("pc_factor_mat_solver_type"), self.options.get("pc_type")}
+        """Return a package that the solver needs and PETSc lacks; an empty string if none."""
+        used = {
+            value
+            for key, value in self.options.items()
+            if key == "pc_type" or key.endswith("pc_factor_mat_solver_type")
+        }
         for package in PACKAGES:
             if package in used and not PETSc.Sys.hasExternalPackage(package):
                 return package
@@ -177,12 +202,12 @@ def create_solver(
     chosen = Solver(solver, SOLVERS[solver] if options is None else options)
     if symmetric is None:
         symmetric = bool(all(A.isSymmetricKnown()))
-    defaults = _adapted(chosen.options, A, symmetric=symmetric)
+    defaults = _adapted(chosen.options, A, is_symmetric=symmetric)
     dirichlet = None
-    uses_torn_matrix = chosen.uses_torn_matrix
-    if uses_torn_matrix:
+    is_torn = chosen.kind is SolverKind.TORN
+    if is_torn:
         dirichlet = A.query("dirichlet")
-        A = _with_unit_rows(A, symmetric, definite)
+        A = _with_unit_rows(A, is_symmetric=symmetric, is_definite=definite)
         defaults.setdefault("pc_bddc_vertex_size", VERTEX_NODES * A.getBlockSize())
     of_user = PETSc.Options(chosen.prefix)  # these override ours
     defaults = {key: value for key, value in defaults.items() if not of_user.hasName(key)}
@@ -204,42 +229,44 @@ def create_solver(
         if dirichlet is not None:
             pc.setBDDCDirichletBoundaries(dirichlet)
         ksp.setUp()
-    if uses_torn_matrix:
+    if is_torn:
         A.destroy()  # the KSP has a reference
     return ksp
 
 
-def _adapted(options: Mapping[str, object], A: PETSc.Mat, *, symmetric: bool) -> dict[str, object]:
+def _adapted(
+    options: Mapping[str, object], A: PETSc.Mat, *, is_symmetric: bool
+) -> dict[str, object]:
     """Return the options of a direct solver that fit the matrix; those of others as they are.
 
     Args:
         options: PETSc's options without prefix.
         A: The matrix.
-        symmetric: Whether it is symmetric.
+        is_symmetric: Whether it is symmetric.
     """
     adapted = dict(options)
-    if not symmetric and adapted.get("pc_type") == "cholesky":
+    if not is_symmetric and adapted.get("pc_type") == "cholesky":
         adapted["pc_type"] = "lu"
     if adapted.get("pc_factor_mat_solver_type") == "mumps" and A.getNullSpace().handle:
         adapted.setdefault("mat_mumps_icntl_24", 1)  # zero pivots are expected
     return adapted
 
 
-def _with_unit_rows(A: PETSc.Mat, symmetric: bool, definite: bool) -> PETSc.Mat:
+def _with_unit_rows(A: PETSc.Mat, *, is_symmetric: bool, is_definite: bool) -> PETSc.Mat:
     """Return a copy of a torn matrix with unit rows and columns at Dirichlet dofs. Collective.
 
     Args:
         A: Torn matrix.
-        symmetric: Whether it is symmetric.
-        definite: Whether the assembled matrix is known to be symmetric positive definite.
+        is_symmetric: Whether it is symmetric.
+        is_definite: Whether the assembled matrix is known to be symmetric positive definite.
     """
     dirichlet = A.query("dirichlet")
     near_kernel = A.getNearNullSpace()
     B = A.duplicate(copy=True)
     if dirichlet is not None:
         B.zeroRowsColumns(dirichlet.getIndices(), 1.0)
-    B.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
-    if definite:
+    B.setOption(PETSc.Mat.Option.SYMMETRIC, is_symmetric)
+    if is_definite:
         B.setOption(PETSc.Mat.Option.SPD, True)
     if near_kernel.handle:
         B.setNearNullSpace(near_kernel)
