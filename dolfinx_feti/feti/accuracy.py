@@ -139,7 +139,7 @@ class ComponentNorms:
             return 0.0
         return float(np.sqrt(z / x)) if x > 0.0 else np.inf
 
-    def error_of_correction(self, z: Array, references: Sequence[Array]) -> tuple[float, float]:
+    def ratios_of_correction(self, z: Array, references: Sequence[Array]) -> tuple[float, float]:
         """Return the estimated error η by which a correction z changes a solution. Collective.
 
         Args:

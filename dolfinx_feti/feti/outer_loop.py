@@ -177,7 +177,7 @@ class _Goal:
 
     Attributes:
         scale: ‖b − A x_D‖, which relative residuals refer to.
-        max_norm: Largest ‖b − A x‖ that meets the tolerances.
+        residual_tolerance: Largest ‖b − A x‖.
         rtol: The same relative to ``scale``; nan if the load is zero.
         error_tolerance: Largest η; infinite if the load is zero.
         second_reference: Reference of η in addition to x (``SolveSettings.loosen``), (N,).
@@ -185,7 +185,7 @@ class _Goal:
     """
 
     scale: float
-    max_norm: float
+    residual_tolerance: float
     rtol: float
     error_tolerance: float
     second_reference: Array
@@ -201,16 +201,16 @@ def _create_goal(scale: float, tolerances: Tolerances, settings: SolveSettings, 
         settings: What the caller allows beyond the tolerances.
         N: Number of dofs of the assembled problem on this process.
     """
-    max_norm = max(tolerances.rtol * scale, tolerances.atol)
+    residual_tolerance = max(tolerances.rtol * scale, tolerances.atol)
     rtol = np.nan
     error_tolerance = np.inf
     if scale > 0.0:
-        rtol = max_norm / scale  # τ
+        rtol = residual_tolerance / scale  # τ
         error_tolerance = rtol
     error_tolerance, second_reference = settings.loosen(error_tolerance, N)
     return _Goal(
         scale=scale,
-        max_norm=max_norm,
+        residual_tolerance=residual_tolerance,
         rtol=rtol,
         error_tolerance=error_tolerance,
         second_reference=second_reference,
@@ -227,9 +227,9 @@ class _Iterate:
         norm: ‖b − A x‖ on the free dofs; infinite before the first start.
         has_small_residual: Whether ‖b − A x‖ is at its tolerance, or at a level of rounding above
             that, so that no fresh start can reduce it to the tolerance.
-        residual_floor: Largest ‖b − A x‖ that counts as rounding, if ‖b − A x‖ misses its
-            tolerance and is at most this floor; else nan. ``Accuracy`` has it relative to the load.
-        error_estimate: η; nan if it was not measured because the residual is too large.
+        norm_floor: Largest ‖b − A x‖ that counts as rounding, if ‖b − A x‖ misses its
+            tolerance and is at most this floor; else nan.
+        error_estimate: η; nan if it was not measured, as the residual is too large.
         total_error_estimate: η of all components together; nan also if the Krylov method measured
             η.
     """
@@ -237,7 +237,7 @@ class _Iterate:
     x: Array
     norm: float = np.inf
     has_small_residual: bool = False
-    residual_floor: float = np.nan
+    norm_floor: float = np.nan
     error_estimate: float = np.nan
     total_error_estimate: float = np.nan
 
@@ -298,7 +298,7 @@ class _OuterLoop:
         # load; a fresh start has the residual, and no prescribed values.
         self._b.copy(r)
         u_D = self._u_D
-        max_norm_of_start = self._goal.max_norm
+        residual_tolerance_of_start = self._goal.residual_tolerance
         best = _Iterate(x.array_r.copy())
         iterations = 0
         starts: list[KrylovInfo] = []
@@ -307,7 +307,7 @@ class _OuterLoop:
             u, info = formulation.solve(
                 r,
                 u_D,
-                target=TARGET_FACTOR * max_norm_of_start,
+                target=TARGET_FACTOR * residual_tolerance_of_start,
                 error_test=self._error_test(best),
                 max_it=self._goal.max_it - iterations,
                 monitor=monitors.for_start(done, is_first=iterations_before == 0 and not starts),
@@ -326,7 +326,7 @@ class _OuterLoop:
             best = iterate
             if self._is_last_start(info, best, previous):
                 break
-            max_norm_of_start = self._next_max_norm(best)
+            residual_tolerance_of_start = self._next_residual_tolerance(best)
             u_D = np.zeros_like(u_D)  # x has the prescribed values now
         x.array[:] = best.x
         remove_null_space(torn.A, x)
@@ -370,17 +370,17 @@ class _OuterLoop:
             r: Its true residual, (N,).
             info: How the start ended.
         """
-        max_norm = self._goal.max_norm
+        residual_tolerance = self._goal.residual_tolerance
         norm = float(r.norm())
-        has_small_residual = norm <= max_norm
-        residual_floor = np.nan
-        if norm > max_norm:
+        has_small_residual = norm <= residual_tolerance
+        norm_floor = np.nan
+        if norm > residual_tolerance:
             rounding = residual_rounding(self._torn, self._b, x)
             if norm <= RESIDUAL_ROUNDING_MARGIN * rounding:
-                residual_floor = RESIDUAL_ROUNDING_MARGIN * rounding
+                norm_floor = RESIDUAL_ROUNDING_MARGIN * rounding
                 # With rounding below the tolerance, a fresh start may still reach it.
-                has_small_residual = rounding > max_norm
-        iterate = _Iterate(x.array_r.copy(), norm, has_small_residual, residual_floor)
+                has_small_residual = rounding > residual_tolerance
+        iterate = _Iterate(x.array_r.copy(), norm, has_small_residual, norm_floor)
         if not has_small_residual:
             return iterate
         if info.measured_error is not None and self._is_accurate(info.measured_error.residual, r):
@@ -413,7 +413,7 @@ class _OuterLoop:
         """
         z = precondition(self._formulation, r)
         references = [iterate.x, self._goal.second_reference]
-        error_estimate, total = self._norms.error_of_correction(z, references)
+        error_estimate, total = self._norms.ratios_of_correction(z, references)
         return replace(iterate, error_estimate=error_estimate, total_error_estimate=total)
 
     def _with_missing_error(self, best: _Iterate, x: PETSc.Vec, r: PETSc.Vec) -> _Iterate:
@@ -451,7 +451,7 @@ class _OuterLoop:
         A residual that rounding limits does not meet its tolerance: ``converged_reason`` has a case
         of its own for it.
         """
-        return iterate.norm <= self._goal.max_norm and self._meets_error(iterate)
+        return iterate.norm <= self._goal.residual_tolerance and self._meets_error(iterate)
 
     def _meets_error(self, iterate: _Iterate) -> bool:
         """Return True if η is at its tolerance.
@@ -487,16 +487,16 @@ class _OuterLoop:
             return True
         return iterate.error_estimate <= FRESH_START_FACTOR * previous.error_estimate
 
-    def _next_max_norm(self, iterate: _Iterate) -> float:
+    def _next_residual_tolerance(self, iterate: _Iterate) -> float:
         """Return the largest ‖b − A x‖ for the next start, after an iterate that misses the goal.
 
         If the Krylov method does not measure η, η is assumed to fall in proportion to ‖b − A x‖.
         """
         goal = self._goal
         if self._formulation.measures_error or not iterate.has_small_residual:
-            return goal.max_norm
+            return goal.residual_tolerance
         reduction = goal.error_tolerance / iterate.error_estimate
-        return min(goal.max_norm, PROPORTIONAL_TARGET * iterate.norm * reduction)
+        return min(goal.residual_tolerance, PROPORTIONAL_TARGET * iterate.norm * reduction)
 
     def _accuracy(self, best: _Iterate, last: KrylovInfo) -> Accuracy:
         """Return residual and error of the best iterate, and what rounding leaves of them.
@@ -513,7 +513,7 @@ class _OuterLoop:
         return Accuracy(
             residual=best.norm / scale,
             rtol=goal.rtol,
-            residual_floor=best.residual_floor / scale,
+            residual_floor=best.norm_floor / scale,
             error_estimate=best.error_estimate,
             error_floor=error_floor,
             total_error_estimate=best.total_error_estimate,

@@ -44,8 +44,8 @@ class DeflationVectors:
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredError:
-    """The estimated error that a Krylov method has measured for its solution; not an exception.
+class ErrorMeasurement:
+    """The estimated error that a Krylov method has measured for its solution.
 
     Attributes:
         error_estimate: η of the solution, or of the iterate before it.
@@ -77,7 +77,7 @@ class KrylovInfo:
     ritz_values: tuple[float, float] = NO_RITZ_VALUES
     needs_fresh_start: bool = False
     ritz_vectors: DeflationVectors | None = None
-    measured_error: MeasuredError | None = None
+    measured_error: ErrorMeasurement | None = None
 
 
 @dataclass(frozen=True, slots=True)

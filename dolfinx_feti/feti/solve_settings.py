@@ -50,8 +50,8 @@ class Tolerances:
 
 
 @dataclass(frozen=True, slots=True)
-class LooseError:
-    """A bound on the estimated error, looser than the tolerances of the KSP; not an exception.
+class ErrorAllowance:
+    """An estimated error that is small enough, although the tolerances of the KSP may be tighter.
 
     Attributes:
         error_tolerance: Largest η. A tighter tolerance of the KSP is raised to it.
@@ -70,7 +70,7 @@ class SolveSettings:
     Newton's method sets all three; a linear problem has the defaults.
 
     Attributes:
-        loose_error: Estimated error that is small enough although the tolerances are tighter,
+        error_allowance: Estimated error that is small enough although the tolerances are tighter,
             because the next step of Newton's method corrects it.
         load_rounding: Size of the rounding errors of b, in its units. The part of b in a null space
             of A may be as large: the last residuals of Newton's method consist of rounding.
@@ -78,12 +78,12 @@ class SolveSettings:
             reason ``DIVERGED_INDEFINITE_MAT``.
     """
 
-    loose_error: LooseError | None = None
+    error_allowance: ErrorAllowance | None = None
     load_rounding: float = 0.0
     allow_indefinite: bool = True
 
     def loosen(self, error_tolerance: float, N: int) -> tuple[float, Array]:
-        r"""Return the tolerance of η with the loose error, and a second reference for η.
+        r"""Return the tolerance of η with the allowance, and a second reference for η.
 
         With the second reference y = allowed_error/τ, η is ‖z‖ / (‖x‖² + ‖y‖²)^½. Hence η ≤ τ for
         any x if ‖z‖ ≤ ‖allowed_error‖.
@@ -93,9 +93,9 @@ class SolveSettings:
             N: Number of dofs of the assembled problem on this process.
 
         Returns:
-            The tolerance τ, and the reference y, (N,); zeros without a loose error.
+            The tolerance τ, and the reference y, (N,); zeros without an allowance.
         """
-        if self.loose_error is None:
+        if self.error_allowance is None:
             return error_tolerance, np.zeros(N)
-        error_tolerance = max(error_tolerance, self.loose_error.error_tolerance)
-        return error_tolerance, np.asarray(self.loose_error.allowed_error / error_tolerance)
+        error_tolerance = max(error_tolerance, self.error_allowance.error_tolerance)
+        return error_tolerance, np.asarray(self.error_allowance.allowed_error / error_tolerance)

@@ -462,7 +462,7 @@ class FETI:
         # A component counts as zero only if it is tiny in all references.
         state = np.abs(references).sum(axis=0)
         norms = ComponentNorms(formulation.pattern.torn).for_state(state)
-        return norms.error_of_correction(z, references)[0]
+        return norms.ratios_of_correction(z, references)[0]
 
     def store_outcome(self, ksp: PETSc.KSP, info: SolveInfo, error_tolerance: float) -> None:
         """Store and log the outcome of a solution that was composed of several solves.

@@ -17,7 +17,7 @@ from dataclasses import replace
 from petsc4py import PETSc
 
 from dolfinx_feti.feti.options import may_be_solver_option, read_options, warn_of_unread
-from dolfinx_feti.feti.solve_settings import LooseError
+from dolfinx_feti.feti.solve_settings import ErrorAllowance
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.problems.solver_options import (
     BOUNDS_TEXT,
@@ -318,7 +318,7 @@ def failures_as_reasons(*solvers: PETSc.KSP | PETSc.SNES) -> Iterator[None]:
 
 @contextmanager
 def newton_tolerances(
-    ksp: PETSc.KSP, *, norm: float, error: LooseError, load_rounding: float
+    ksp: PETSc.KSP, *, norm: float, error: ErrorAllowance, load_rounding: float
 ) -> Iterator[None]:
     """Return a context in which linear solves are as accurate as a Newton step needs.
 
@@ -338,7 +338,7 @@ def newton_tolerances(
     settings = replace(feti.settings, load_rounding=load_rounding)
     if not any(options.hasName(name) for name in LINEAR_TOLERANCE_OPTIONS):
         ksp.setTolerances(atol=max(atol, norm))
-        settings = replace(settings, loose_error=error)
+        settings = replace(settings, error_allowance=error)
     try:
         with feti.solving_with(settings):
             yield

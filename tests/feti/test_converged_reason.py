@@ -19,7 +19,7 @@ from dolfinx_feti.feti.converged_reason import (
     converged_reason,
 )
 from dolfinx_feti.feti.solve_info import Accuracy, KrylovInfo, SolveInfo
-from dolfinx_feti.feti.solve_settings import LooseError, SolveSettings, Tolerances
+from dolfinx_feti.feti.solve_settings import ErrorAllowance, SolveSettings, Tolerances
 
 Reason = PETSc.KSP.ConvergedReason
 
@@ -143,10 +143,10 @@ def test_iterations_by_digits(rtol, rate, limit):
     assert Tolerances(1e-8, 0.0, 100, rate).iteration_limit(rtol) == limit
 
 
-def test_loose_error_meets_its_tolerance():
+def test_error_allowance_meets_its_tolerance():
     """An error of the allowed size has η at the tolerance for x = 0, and less for any other x."""
     allowed = np.array([3e-4, 4e-4])
-    settings = SolveSettings(loose_error=LooseError(1e-3, allowed))
+    settings = SolveSettings(error_allowance=ErrorAllowance(1e-3, allowed))
     tolerance, reference = settings.loosen(1e-8, 2)
     assert tolerance == 1e-3
     ratio = np.linalg.norm(allowed) / np.linalg.norm(reference)

@@ -221,13 +221,13 @@ def test_estimate_does_not_depend_on_units(unit, body):
     form_torn = feti.getPythonContext().formulation.pattern.torn
     rng = np.random.default_rng(COMM.rank)
     z, x = rng.standard_normal((2, form_torn.N)) * np.tile([1e-3, 1.0], form_torn.N // 2)
-    before, _ = ComponentNorms(form_torn).error_of_correction(z, [x])
+    before, _ = ComponentNorms(form_torn).ratios_of_correction(z, [x])
     unknown, equation = form_torn.K.createVecs()
     unknown.array[:] = np.tile([1.0, 1.0 / unit], form_torn.n // 2)
     equation.array[:] = np.tile([1.0, unit**0.5], form_torn.n // 2)
     form_torn.K.diagonalScale(equation, unknown)
     scale = np.tile([1.0, unit], form_torn.N // 2)
-    after, _ = ComponentNorms(form_torn).error_of_correction(scale * z, [scale * x])
+    after, _ = ComponentNorms(form_torn).ratios_of_correction(scale * z, [scale * x])
     equal(after, before, 1e-10 * before)
     for used in (feti, b):
         used.destroy()

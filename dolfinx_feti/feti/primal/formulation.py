@@ -44,7 +44,7 @@ from dolfinx_feti.feti.regularity.detection import (
     require_supported,
 )
 from dolfinx_feti.feti.setup import Inertia, require_regular_interior_blocks, sum_if_known
-from dolfinx_feti.feti.solve_info import DeflationVectors, KrylovInfo, MeasuredError
+from dolfinx_feti.feti.solve_info import DeflationVectors, ErrorMeasurement, KrylovInfo
 from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
@@ -231,7 +231,7 @@ class PrimalFormulation:
         t[copies.dofs] = copies.delta * r
         return torn.assemble(t)
 
-    def _assembled_error(self, error: MeasuredError | None) -> MeasuredError | None:
+    def _assembled_error(self, error: ErrorMeasurement | None) -> ErrorMeasurement | None:
         """Return η with its residual as an assembled vector, (N,), instead of by copies."""
         return None if error is None else replace(error, residual=self._assembled(error.residual))
 

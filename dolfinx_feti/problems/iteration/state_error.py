@@ -20,7 +20,7 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.feti.converged_reason import LOGGED_ROUNDING_SHARE, MAX_ROUNDING_SHARE
-from dolfinx_feti.feti.solve_settings import LooseError
+from dolfinx_feti.feti.solve_settings import ErrorAllowance
 from dolfinx_feti.problems.equations.system import System
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.iteration.convergence import Verdict
@@ -136,12 +136,12 @@ class StateError:
         if self.estimate > LOGGED_ROUNDING_SHARE:
             warn(_ROUNDED_ERROR.format(self.estimate, self.rtol), self._system.comm)
 
-    def of_linear_solve(self) -> LooseError:
+    def of_linear_solve(self) -> ErrorAllowance:
         """Return the estimated error that the next linear solve may leave of ΔU."""
         share = LINEAR_ERROR
         if self.is_too_large:
             share = min(LINEAR_ERROR, ERROR_SHARE * self.rtol / self.estimate)
-        return LooseError(share, ERROR_SHARE * self.rtol * self._system.state.values().u)
+        return ErrorAllowance(share, ERROR_SHARE * self.rtol * self._system.state.values().u)
 
     def _lacks_tangent(self, history: Sequence[NewtonStep]) -> bool:
         """Return True if the matrix holds no tangent without a shift.

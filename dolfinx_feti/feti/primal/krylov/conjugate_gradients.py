@@ -33,7 +33,7 @@ from dolfinx_feti.feti.primal.krylov.base import (
 from dolfinx_feti.feti.primal.krylov.iteration import FRESH_START, IterationEnd, iterate
 from dolfinx_feti.feti.primal.stopping import InterfaceErrorTest, StoppingTest
 from dolfinx_feti.feti.primal.system import PrimalSystem
-from dolfinx_feti.feti.solve_info import KrylovInfo, MeasuredError
+from dolfinx_feti.feti.solve_info import ErrorMeasurement, KrylovInfo
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 
@@ -95,7 +95,7 @@ def conjugate_gradients(
         cg.its,
         ritz_values,
         needs_fresh_start=end.needs_fresh_start,
-        measured_error=MeasuredError(end.error_estimate, cg.r) if has_error else None,
+        measured_error=ErrorMeasurement(end.error_estimate, cg.r) if has_error else None,
     )
     return cg.x if end.has_converged else cg.best.x, info, cg.lanczos.basis()
 
