@@ -19,8 +19,8 @@ for the simulation of arterial tissues, International Journal for Numerical Meth
   and ``regularity``.
 
 In the order of the data: krylov_limits, solve_info, monitor, subsolver_options, interface,
-subdomain, preconditioners, options, coarse, regularity, pattern, setup, accuracy, formulation,
-dual, primal, cache, solve_settings, converged_reason, outer_loop, report, lifting, solver.
+subdomain, preconditioners, options, coarse, regularity, pattern, setup, accuracy, dual,
+primal, formulation, cache, solve_settings, converged_reason, outer_loop, report, lifting, solver.
 """
 
 from dolfinx_feti.feti.solver import FETI

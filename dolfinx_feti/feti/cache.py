@@ -200,8 +200,9 @@ class SolverCache:
         if failed.reason == Reason.DIVERGED_INDEFINITE_MAT and not formulation.solves_indefinite:
             if not (is_auto and allow_indefinite):
                 return False  # another preconditioner would meet the same negative curvature
-            if isinstance(formulation, PrimalFormulation) and not is_reused:
-                self._replace_by_dual(pattern, formulation)
+            setup = formulation.setup_for_dual()
+            if setup is not None and not is_reused:
+                self._replace_by_dual(pattern, formulation, setup)
                 return True
         if is_reused:
             self.invalidate()
@@ -211,17 +212,22 @@ class SolverCache:
         is_finite = bool(np.isfinite(failed.accuracy.residual))
         has_coarse_failed = failed.reason == Reason.DIVERGED_NANORINF and is_finite
         can_be_dual = is_auto and pattern.is_symmetric
-        if has_coarse_failed and can_be_dual and isinstance(formulation, PrimalFormulation):
-            self._replace_by_dual(pattern, formulation)
+        setup = formulation.setup_for_dual()
+        if has_coarse_failed and can_be_dual and setup is not None:
+            self._replace_by_dual(pattern, formulation, setup)
             return True
         return False
 
-    def _replace_by_dual(self, pattern: Pattern, primal: PrimalFormulation) -> None:
-        """Set up the dual formulation with S and K_ρ⁻¹ of a primal one that has failed."""
+    def _replace_by_dual(self, pattern: Pattern, failed: Formulation, setup: Setup) -> None:
+        """Set up the dual formulation in place of one that has failed.
+
+        Args:
+            pattern: All that depends on the pattern.
+            failed: The formulation that has failed.
+            setup: Its parts that the dual one uses, from ``setup_for_dual``.
+        """
         self.formulation = None
-        primal.coarse.destroy()  # frees memory now; its owner destroys it again, without effect
-        M = primal.preconditioner
-        setup = Setup(primal.operator, M.delta, M.inverse, M.inertia)
+        failed.coarse.destroy()  # frees memory now; its owner destroys it again, without effect
         self.formulation = self._create_dual(pattern, setup)
 
     def _set_up(self, pattern: Pattern) -> None:
@@ -310,11 +316,7 @@ class SolverCache:
         formulation = self.formulation
         if self._is_invalid or not self._newton or self.age >= self._options.max_age:
             return None
-        if not isinstance(formulation, PrimalFormulation):
-            return None
-        # The later matrix has the same columns, and their independent combinations serve it, too.
-        combinations = formulation.coarse.combinations
-        return formulation.preconditioner.for_later_matrix(combinations)
+        return None if formulation is None else formulation.preconditioner_for_later_matrix()
 
     def destroy(self) -> None:
         """Free everything."""

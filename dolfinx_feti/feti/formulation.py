@@ -20,7 +20,8 @@ from dolfinx_feti.feti.coarse.dual_problem import DualCoarseProblem
 from dolfinx_feti.feti.coarse.primal_problem import PrimalCoarseProblem
 from dolfinx_feti.feti.monitor import Monitor
 from dolfinx_feti.feti.pattern import Pattern
-from dolfinx_feti.feti.setup import Inertia
+from dolfinx_feti.feti.primal.preconditioner import PrimalPreconditioner
+from dolfinx_feti.feti.setup import Inertia, Setup
 from dolfinx_feti.feti.solve_info import KrylovInfo
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
 from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
@@ -127,3 +128,9 @@ class Formulation(Protocol):
 
     def deflation_memory(self) -> float:
         """Return the memory of the Ritz vectors of this process in MiB."""
+
+    def preconditioner_for_later_matrix(self) -> PrimalPreconditioner | None:
+        """Return the preconditioner for a later matrix; None if none can serve it (dual)."""
+
+    def setup_for_dual(self) -> Setup | None:
+        """Return S, δ and K_ρ⁻¹ for the dual formulation of this matrix; None if it is the dual."""

@@ -212,6 +212,12 @@ class DualFormulation:
         """Return zero: the dual formulation has no Ritz vectors."""
         return 0.0
 
+    def preconditioner_for_later_matrix(self) -> None:
+        """Return None: M is set up for each matrix."""
+
+    def setup_for_dual(self) -> None:
+        """Return None: this is the dual formulation."""
+
 
 def create_dual_formulation(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFormulation:
     """Create M, the coarse problem and the dual system of the present matrix. Collective.

@@ -43,7 +43,7 @@ from dolfinx_feti.feti.regularity.detection import (
     require_no_mechanism,
     require_supported,
 )
-from dolfinx_feti.feti.setup import Inertia, require_regular_interior_blocks, sum_if_known
+from dolfinx_feti.feti.setup import Inertia, Setup, require_regular_interior_blocks, sum_if_known
 from dolfinx_feti.feti.solve_info import DeflationVectors, ErrorMeasurement, KrylovInfo
 from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes
@@ -211,6 +211,18 @@ class PrimalFormulation:
     def deflation_memory(self) -> float:
         """Return the memory of W and its products on this process in MiB."""
         return self.deflation.memory()
+
+    def preconditioner_for_later_matrix(self) -> PrimalPreconditioner:
+        """Return the preconditioner for a later matrix, which has the same coarse columns.
+
+        Their independent combinations serve the later matrix, too.
+        """
+        return self.preconditioner.for_later_matrix(self.coarse.combinations)
+
+    def setup_for_dual(self) -> Setup:
+        """Return S, δ and K_ρ⁻¹ for the dual formulation of this matrix."""
+        M = self.preconditioner
+        return Setup(self.operator, M.delta, M.inverse, M.inertia)
 
     def _extended(self, x_Γ: Array, f: Array) -> Array:
         """Return u with u_Γ = T x_Γ and u_I = K_II⁻¹ (f_I − K_IΓ u_Γ), (n,).
