@@ -27,7 +27,6 @@ import ufl
 from dolfinx_feti.fem.assembly import LocalMatrix
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.condensation.cell_inverse import SingularCellError, invert
-from dolfinx_feti.fem.condensation.cell_means import CellMeans
 from dolfinx_feti.fem.condensation.cellwise_forms import CellwiseForms
 from dolfinx_feti.fem.condensation.condensed_fields import CondensedFields
 from dolfinx_feti.fem.condensation.mixed_tangent import (
@@ -36,6 +35,7 @@ from dolfinx_feti.fem.condensation.mixed_tangent import (
     derive_tangent,
     tangent_of_user,
 )
+from dolfinx_feti.fem.condensation.multipliers import Multipliers
 from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.native import load, pointer
@@ -174,9 +174,7 @@ class Condensation:
             pairs = zip(compression, fields, strict=True)
             terms = [block_of_user(term, p.function_space).form for term, p in pairs]
             self._compression = CellwiseForms(terms, mesh, compiler)
-        self._multiplier_residual = np.zeros((*self._numbering.entries.shape, 1))  # r_p(0, λ)
-        self._means: CellMeans | None = None
-        self._constraint_sizes: Array = np.ones(len(fields))
+        self._multipliers: Multipliers | None = None
 
         # matrix
         self._bs = V.dofmap.index_map_bs
@@ -221,7 +219,7 @@ class Condensation:
     # -- multipliers ------------------------------------------------------------------------------
 
     def create_multipliers(self, constraint_sizes: Sequence[float] | None = None) -> None:
-        """Create multipliers λ = 0, and compile the means by which their changes are measured.
+        """Create multipliers λ = 0 of the fields.
 
         Args:
             constraint_sizes: Size |c| of the constraint in each field's equation c g(u), such as 2
@@ -240,9 +238,12 @@ class Condensation:
                     f"'{p.name}' has the shape {p.ufl_shape}: leave volume_tolerance out, and give "
                     "the pressure a large bulk modulus, −p²/(2κ)."
                 )
-        self._means = CellMeans(self._numbering, self._compiler)
-        if constraint_sizes is not None:
-            self._constraint_sizes = np.asarray(constraint_sizes, dtype=np.float64)
+        self._multipliers = Multipliers(
+            self._numbering,
+            self._compiler,
+            is_constraint=self._contains_u,
+            constraint_sizes=constraint_sizes,
+        )
 
     def set_multipliers(self, values: Array) -> float:
         """Set the multipliers λ, and return by how much they change the volume of a cell.
@@ -261,14 +262,9 @@ class Condensation:
         Raises:
             RuntimeError: :meth:`create_multipliers` was not called before.
         """
-        if self._means is None:
+        if self._multipliers is None:
             raise RuntimeError("set_multipliers needs create_multipliers before the first call.")
-        before = self._multiplier_residual
-        self._multiplier_residual = self._residual_without_displacement(values)
-        change = (self._multiplier_residual - before)[:, :, 0]
-        mean_change = np.abs(self._means.of(change)) * self._contains_u  # (cells, fields)
-        largest = mean_change.max(axis=0, initial=0.0)  # (fields,)
-        return float((largest / self._constraint_sizes).max(initial=0.0))
+        return self._multipliers.change_residual(self._residual_without_displacement(values))
 
     def _residual_without_displacement(self, values: Array) -> Array:
         """Return r_p(0, λ), or the compression terms at λ, (cells, n, 1).
@@ -290,8 +286,10 @@ class Condensation:
 
     def multiplier_potential(self) -> float:
         """Return −p·r_p(0, λ) on this process [mN mm], which multipliers add to the potential."""
+        if self._multipliers is None:
+            return 0.0
         p = self.values()[self._numbering.entries]
-        return -float(np.vdot(self._multiplier_residual[:, :, 0], p))
+        return -float(np.vdot(self._multipliers.residual[:, :, 0], p))
 
     def constraint_products(self, index: int) -> ConstraintProducts:
         """Return products of the blocks of the incompressible field with an index."""
@@ -379,11 +377,13 @@ class Condensation:
         """Assemble the mixed tangent and the residual of the fields."""
         tangent, residuals = self._assemble_forms()
         K_up, K_pu, K_pp = self._tangent.split(tangent)
+        if self._multipliers is not None:
+            residuals = residuals - self._multipliers.residual
         return _MixedMatrices(
             K_up=np.block(K_up),
             K_pu=np.block([[block] for block in K_pu]),
             K_pp=np.block(K_pp),
-            r_p=residuals - self._multiplier_residual,
+            r_p=residuals,
         )
 
     def _assemble_forms(self) -> tuple[list[Array], Array]:
@@ -424,5 +424,6 @@ class Condensation:
             f"condense: the block of '{p.name}' is singular in cell {cell} of process "
             f"{mesh.comm.rank}, around ({where}). The equations there do not determine the field. "
             "A pressure needs a term without u, such as −p²/(2κ). A dilation θ, as in "
-            "Ψ(θ) + p (J − θ), needs the same element as p."
+            "Ψ(θ) + p (J − θ), needs the same element as p. Two pressures that occur only as "
+            "their sum p + q need a term of their own each, such as −p²/(2κ) − q²/(2κ)."
         )
