@@ -62,7 +62,7 @@ def exact_pressure(stretch):
 # Three planes of symmetry cut out an octant of the balloon. Its points slide in these planes.
 
 # +
-mesh = create_octant(comm, divisions=5, layers=1, inner=inner, outer=outer)
+mesh = create_octant(comm, divisions=5, through=1, inner=inner, outer=outer)
 V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
 u = dolfinx.fem.Function(V, name="u")
 p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="p")

@@ -4,7 +4,7 @@
 """An octant of a thick sphere, of curved tetrahedra: prisms over a lattice of triangles.
 
 A triangle with corners (1, 0, 0), (0, 1, 0), (0, 0, 1) is divided evenly and projected to spheres.
-Each prism between two layers is cut into three tetrahedra, along diagonals from the corners with
+Each prism between two sheets of points is cut into three tetrahedra, along diagonals from the corners with
 lower numbers. A straight mesh over the coordinates (x, y) of the triangle and the radius is created
 first; its vertices and midpoints of edges are then mapped to the spheres.
 """
@@ -26,14 +26,14 @@ __all__ = ["create_octant"]
 
 
 def create_octant(
-    comm: MPI.Comm, divisions: int, layers: int, inner: float = 1.0, outer: float = 1.1
+    comm: MPI.Comm, divisions: int, through: int, inner: float = 1.0, outer: float = 1.1
 ) -> dolfinx.mesh.Mesh:
     """Create a mesh of second order of an octant of a hollow sphere, x, y, z ≥ 0.
 
     Args:
         comm: Communicator of the mesh.
         divisions: Elements along an edge of the triangle.
-        layers: Elements through the wall.
+        through: Elements through the wall.
         inner: Inner radius [mm].
         outer: Outer radius [mm].
 
@@ -46,8 +46,8 @@ def create_octant(
     points: Array = np.zeros((0, 3))  # of other processes than the first one
     cells: Numbers = np.zeros((0, 4), dtype=np.int64)
     if comm.rank == 0:
-        radii = np.linspace(inner, outer, layers + 1, dtype=np.float64)
-        points, cells = _prisms(divisions, layers, radii)
+        radii = np.linspace(inner, outer, through + 1, dtype=np.float64)
+        points, cells = _prisms(divisions, through, radii)
     linear = basix.ufl.element("Lagrange", "tetrahedron", 1, shape=(3,))
     with repeatable_partitions():
         straight = dolfinx.mesh.create_mesh(comm, cells=cells, x=points, e=linear)
@@ -60,13 +60,13 @@ def _on_spheres(x: Array) -> Array:
     return np.asarray(x[:, 2:] * rays / np.linalg.norm(rays, axis=1)[:, None])
 
 
-def _prisms(divisions: int, layers: int, radii: Array) -> tuple[Array, Numbers]:
+def _prisms(divisions: int, through: int, radii: Array) -> tuple[Array, Numbers]:
     """Return points (x, y, radius) over the triangle, (n, 3), and tetrahedra, (m, 4).
 
     Args:
         divisions: Elements along an edge of the triangle.
-        layers: Elements through the wall.
-        radii: Radius of each sheet of points, (layers + 1,).
+        through: Elements through the wall.
+        radii: Radius of each sheet of points, (through + 1,).
     """
     lattice = [(i, j) for i in range(divisions + 1) for j in range(divisions + 1 - i)]
     number = {position: k for k, position in enumerate(lattice)}
@@ -81,9 +81,9 @@ def _prisms(divisions: int, layers: int, radii: Array) -> tuple[Array, Numbers]:
     points = [np.column_stack((xy, np.full(len(xy), radius))) for radius in radii]
     corners = np.sort(triangles, axis=1)
     cells = []
-    for layer in range(layers):
-        below = corners + layer * len(xy)
-        above = corners + (layer + 1) * len(xy)
+    for sheet in range(through):
+        below = corners + sheet * len(xy)
+        above = corners + (sheet + 1) * len(xy)
         cells.append(np.column_stack((below, above[:, 2])))
         cells.append(np.column_stack((below[:, :2], above[:, 1:])))
         cells.append(np.column_stack((below[:, 0], above)))
