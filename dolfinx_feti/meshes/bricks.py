@@ -115,9 +115,9 @@ def _create_arrays(
     return WallArrays(
         points=points.reshape(-1, 3),
         cells=cells,
-        layers=np.repeat(sheets.layers, len(cells) // len(sheets.layers)),
+        cell_tags=np.repeat(sheets.tags, len(cells) // len(sheets.tags)),
         facets=np.concatenate(list(facets.values())),
-        surfaces=np.concatenate(
+        facet_tags=np.concatenate(
             [np.full(len(part), SURFACE_TAGS[name]) for name, part in facets.items()]
         ),
         layer_names=sheets.layer_names,

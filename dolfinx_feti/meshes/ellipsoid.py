@@ -125,9 +125,9 @@ def _create_arrays(n: int, through: int) -> WallArrays:
     return WallArrays(
         points=points,
         cells=all_cells,
-        layers=np.ones(len(all_cells), dtype=np.int64),
+        cell_tags=np.ones(len(all_cells), dtype=np.int64),
         facets=np.concatenate(list(facets.values())),
-        surfaces=np.concatenate([np.full(len(f), names[name]) for name, f in facets.items()]),
+        facet_tags=np.concatenate([np.full(len(f), names[name]) for name, f in facets.items()]),
         layer_names={"wall": 1},
         surface_names=names,
     )

@@ -50,14 +50,14 @@ def write_msh(path: Path, arrays: WallArrays) -> None:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
-    surface_names = names_of(arrays.surfaces, arrays.surface_names)
-    layer_names = names_of(arrays.layers, arrays.layer_names)
+    surface_names = names_of(arrays.facet_tags, arrays.surface_names)
+    layer_names = names_of(arrays.cell_tags, arrays.layer_names)
     groups = [f'2 {tag} "{name}"' for name, tag in surface_names.items()]
     groups += [f'3 {tag} "{name}"' for name, tag in layer_names.items()]
     node_numbers = np.arange(1, len(arrays.points) + 1)
     n_facets = len(arrays.facets)
-    triangles = _elements(1, GMSH_TRIANGLE, arrays.facets, arrays.surfaces)
-    tetrahedra = _elements(1 + n_facets, GMSH_TETRAHEDRON, arrays.cells, arrays.layers)
+    triangles = _elements(1, GMSH_TRIANGLE, arrays.facets, arrays.facet_tags)
+    tetrahedra = _elements(1 + n_facets, GMSH_TETRAHEDRON, arrays.cells, arrays.cell_tags)
     head = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat", "$PhysicalNames", str(len(groups))]
     head += [*groups, "$EndPhysicalNames", "$Nodes", str(len(node_numbers)), ""]
     nodes = np.column_stack([node_numbers, arrays.points])

@@ -37,14 +37,13 @@ class Sheets:
     """Sheets of points that divide a wall into elements, from the lumen to the outer wall.
 
     Attributes:
-        heights: Height of each sheet over the lumen, as a share of the thickness: from 0 for the
-            lumen to 1 for the outer wall, (n + 1,).
-        layers: Tag of the layer between each sheet and the next one, (n,).
+        heights: Height of each sheet over the lumen, from 0 to 1 [thickness], (n + 1,).
+        tags: Tag of the layer between each sheet and the next one, (n,).
         layer_names: Tags of the layers by name.
     """
 
     heights: Array
-    layers: Numbers
+    tags: Numbers
     layer_names: dict[str, int]
 
 
@@ -88,14 +87,14 @@ def grow_wall(x: Array, y: Array, t: Numbers, *, sheets: Sheets, rim: Rim) -> Wa
         rim: All edges of the lumen with one triangle.
     """
     n = len(x)
-    n_layers = len(sheets.layers)
-    first_points = n * np.arange(n_layers)  # of the sheet below each layer of elements
+    through = len(sheets.tags)
+    first_points = n * np.arange(through)  # of the sheet below each row of elements
 
     # three tetrahedra of each prism; two nodes of an inverted one are exchanged
     corners, parities = sort_corners(t)
     prisms = np.concatenate([np.hstack([corners + p, corners + p + n]) for p in first_points])
     cells = prisms[:, PRISM_TETRAHEDRA]
-    is_inverted = np.tile(parities, n_layers)[:, None] * PRISM_ORIENTATIONS < 0
+    is_inverted = np.tile(parities, through)[:, None] * PRISM_ORIENTATIONS < 0
     cells[is_inverted] = cells[is_inverted][:, [0, 1, 3, 2]]
 
     # two triangles of the quadrilateral over each edge of the rim, cut from its lower number
@@ -103,22 +102,22 @@ def grow_wall(x: Array, y: Array, t: Numbers, *, sheets: Sheets, rim: Rim) -> Wa
     quadrilaterals = np.concatenate([np.hstack([edges + p, edges + p + n]) for p in first_points])
     cut_faces = quadrilaterals[:, [[0, 1, 3], [0, 2, 3]]].reshape(-1, 3)
 
-    facets = np.concatenate([t, t + n * n_layers, cut_faces])
-    surfaces = np.concatenate(
+    facets = np.concatenate([t, t + n * through, cut_faces])
+    facet_tags = np.concatenate(
         [
             np.full(len(t), SURFACE_TAGS["lumen"]),
             np.full(len(t), SURFACE_TAGS["outer"]),
-            np.repeat(np.tile(rim.tags, n_layers), 2),
+            np.repeat(np.tile(rim.tags, through), 2),
         ]
     )
     return WallArrays(
         points=np.concatenate([x + s * (y - x) for s in sheets.heights]),
         cells=cells.reshape(-1, 4),
-        layers=np.repeat(sheets.layers, 3 * len(t)),
+        cell_tags=np.repeat(sheets.tags, 3 * len(t)),
         facets=facets,
-        surfaces=surfaces,
+        facet_tags=facet_tags,
         layer_names=sheets.layer_names,
-        surface_names=names_of(surfaces, SURFACE_TAGS),
+        surface_names=names_of(facet_tags, SURFACE_TAGS),
     )
 
 

@@ -4,9 +4,9 @@
 """An octant of a thick sphere, of curved tetrahedra: prisms over a lattice of triangles.
 
 A triangle with corners (1, 0, 0), (0, 1, 0), (0, 0, 1) is divided evenly and projected to spheres.
-Each prism between two sheets of points is cut into three tetrahedra, along diagonals from the corners with
-lower numbers. A straight mesh over the coordinates (x, y) of the triangle and the radius is created
-first; its vertices and midpoints of edges are then mapped to the spheres.
+Each prism between two sheets of points is cut into three tetrahedra, along diagonals from the
+corners with lower numbers. A straight mesh over the coordinates (x, y) of the triangle and the
+radius is created first; its vertices and midpoints of edges are then mapped to the spheres.
 """
 
 from __future__ import annotations

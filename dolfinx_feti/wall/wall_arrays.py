@@ -35,18 +35,18 @@ class WallArrays:
     Attributes:
         points: Coordinates, (n, 3), in millimetres or in the unit of a file.
         cells: Nodes of the cells in dolfinx's order, (m, nodes); ``checks.CELLS`` lists the types.
-        layers: Tag of the layer of each cell, (m,).
+        cell_tags: Tag of the layer of each cell, (m,).
         facets: Nodes of the tagged facets in dolfinx's order, (k, nodes of a facet).
-        surfaces: Tag of the surface of each of these facets, (k,).
+        facet_tags: Tag of the surface of each of these facets, (k,).
         layer_names: Tags of the layers by name.
         surface_names: Tags of the surfaces by name.
     """
 
     points: Array
     cells: Numbers
-    layers: Numbers
+    cell_tags: Numbers
     facets: Numbers
-    surfaces: Numbers
+    facet_tags: Numbers
     layer_names: dict[str, int]
     surface_names: dict[str, int]
 
@@ -73,8 +73,8 @@ def distribute(arrays: WallArrays | None, comm: MPI.Comm, *, scale: float = 1.0)
         x = scale * arrays.points[used]
         mesh = dolfinx.mesh.create_mesh(comm, cells, x=x, e=ufl.Mesh(element))
     with event("WallTags"):
-        cell_tags = _distribute_tags(mesh, 3, cells, arrays.layers)
-        facet_tags = _distribute_tags(mesh, 2, facets, arrays.surfaces)
+        cell_tags = _distribute_tags(mesh, 3, cells, arrays.cell_tags)
+        facet_tags = _distribute_tags(mesh, 2, facets, arrays.facet_tags)
     return Wall(mesh, cell_tags, facet_tags, arrays.layer_names, arrays.surface_names)
 
 
@@ -92,9 +92,9 @@ def first_or_empty(arrays: WallArrays | None, comm: MPI.Comm) -> WallArrays:
             arrays,
             points=arrays.points[:0],
             cells=arrays.cells[:0],
-            layers=arrays.layers[:0],
+            cell_tags=arrays.cell_tags[:0],
             facets=arrays.facets[:0],
-            surfaces=arrays.surfaces[:0],
+            facet_tags=arrays.facet_tags[:0],
         )
     names_of_first: WallArrays = comm.bcast(empty, root=0)
     if comm.rank == 0 and arrays is not None:

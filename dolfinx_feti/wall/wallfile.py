@@ -123,8 +123,8 @@ def _read_with_names(path: Path, names: Groups) -> WallArrays:
     arrays = read_wall_arrays(path)
     return replace(
         arrays,
-        layer_names=merged_names(arrays.layer_names, groups, 3, arrays.layers),
-        surface_names=merged_names(arrays.surface_names, groups, 2, arrays.surfaces),
+        layer_names=merged_names(arrays.layer_names, groups, 3, arrays.cell_tags),
+        surface_names=merged_names(arrays.surface_names, groups, 2, arrays.facet_tags),
     )
 
 
@@ -139,8 +139,8 @@ def read_wall_arrays(path: Path) -> WallArrays:
     if not path.is_file():
         raise FileNotFoundError(f"There is no file {path}: give the path of a mesh of a wall")
     wall = _read_gmsh(path) if path.suffix == ".msh" else _read_meshio(path)
-    layers = tags_with_names(wall.layer_names, wall.layers)
-    surfaces = tags_with_names(wall.surface_names, wall.surfaces)
+    layers = tags_with_names(wall.layer_names, wall.cell_tags)
+    surfaces = tags_with_names(wall.surface_names, wall.facet_tags)
     missing = []
     if all(name is None for name, _ in layers):
         missing.append("named layer")
@@ -165,8 +165,8 @@ def _read_gmsh(path: Path) -> WallArrays:
     """Read the physical groups of a Gmsh file."""
     with _gmsh_model(path) as gmsh:
         tags, coordinates, _ = gmsh.model.mesh.getNodes()
-        cells, layers, layer_names = _read_groups(gmsh, path, 3)
-        facets, surfaces, surface_names = _read_groups(gmsh, path, 2)
+        cells, cell_tags, layer_names = _read_groups(gmsh, path, 3)
+        facets, facet_tags, surface_names = _read_groups(gmsh, path, 2)
         n_cells = sum(len(elements) for elements in gmsh.model.mesh.getElements(3)[1])
     if n_cells > len(cells):
         raise ValueError(
@@ -179,9 +179,9 @@ def _read_gmsh(path: Path) -> WallArrays:
     return WallArrays(
         points=coordinates.reshape(-1, 3),
         cells=number[cells],
-        layers=layers,
+        cell_tags=cell_tags,
         facets=number[facets],
-        surfaces=surfaces,
+        facet_tags=facet_tags,
         layer_names=layer_names,
         surface_names=surface_names,
     )
@@ -338,17 +338,17 @@ def _read_meshio(path: Path) -> WallArrays:
         raise ValueError(message)
     if mesh.points.ndim != 2 or mesh.points.shape[1] != 3:
         raise ValueError(f"{path} has points of shape {mesh.points.shape}: a wall lies in space")
-    layers = _cell_data(path, mesh, "tetra")
-    surfaces = _cell_data(path, mesh, "triangle")
-    tagged = surfaces > 0
+    cell_tags = _cell_data(path, mesh, "tetra")
+    facet_tags = _cell_data(path, mesh, "triangle")
+    tagged = facet_tags > 0
     return WallArrays(
         points=np.asarray(mesh.points, dtype=np.float64),
         cells=blocks["tetra"].astype(np.int64),
-        layers=layers,
+        cell_tags=cell_tags,
         facets=blocks["triangle"][tagged].astype(np.int64),
-        surfaces=surfaces[tagged],
-        layer_names=with_default_names({}, layers[layers > 0], 3),
-        surface_names=with_default_names({}, surfaces[tagged], 2),
+        facet_tags=facet_tags[tagged],
+        layer_names=with_default_names({}, cell_tags[cell_tags > 0], 3),
+        surface_names=with_default_names({}, facet_tags[tagged], 2),
     )
 
 

@@ -111,14 +111,14 @@ changed(
     "cell_twice.msh",
     "1 tetrahedra of .* occur twice",
     cells=lambda m: np.vstack([m.cells, m.cells[:1]]),
-    layers=lambda m: np.append(m.layers, 3 - m.layers[0]),
+    cell_tags=lambda m: np.append(m.cell_tags, 3 - m.cell_tags[0]),
 )
 changed(
     "non_manifold.msh",
     "faces of more than two tetrahedra|inverted",
     points=lambda m: np.vstack([m.points, [[9.0, 9, 9], [9, 9, 10]]]),
     cells=lambda m: np.vstack([m.cells, [[*m.cells[0, :3], len(m.points) + k] for k in (0, 1)]]),
-    layers=lambda m: np.append(m.layers, [1, 1]),
+    cell_tags=lambda m: np.append(m.cell_tags, [1, 1]),
 )
 changed(
     "lost_points.msh",
@@ -129,41 +129,41 @@ changed(
     "facet_twice.msh",
     "triangles of .* have two tags",
     facets=lambda m: np.vstack([m.facets, m.facets[:2]]),
-    surfaces=lambda m: np.append(m.surfaces, [12, 12]),
+    facet_tags=lambda m: np.append(m.facet_tags, [12, 12]),
 )
 changed(
     "cells_without_group.msh",
     "5 cells of .* are in no physical volume",
-    layers=lambda m: np.where(np.arange(len(m.cells)) < 5, 0, m.layers),
+    cell_tags=lambda m: np.where(np.arange(len(m.cells)) < 5, 0, m.cell_tags),
 )
 changed(
     "layer_without_name.msh",
     "no name for some cells.*nameless = 777",
-    layers=lambda m: np.where(np.arange(len(m.cells)) < 5, 777, m.layers),
+    cell_tags=lambda m: np.where(np.arange(len(m.cells)) < 5, 777, m.cell_tags),
 )
 changed(
     "flat_cell.msh",
     "1 tetrahedra of .* have no volume",
     cells=lambda m: np.vstack([m.cells, m.cells[:1, [0, 1, 2, 2]]]),
-    layers=lambda m: np.append(m.layers, 1),
+    cell_tags=lambda m: np.append(m.cell_tags, 1),
 )
 changed(
     "stray_facet.msh",
     "1 tagged triangles of .* are not faces",
     facets=lambda m: np.vstack([m.facets, [[0, 1, len(m.points) - 1]]]),
-    surfaces=lambda m: np.append(m.surfaces, 3),
+    facet_tags=lambda m: np.append(m.facet_tags, 3),
 )
 changed(
     "surfaces_alone.msh",
     "no named layer",
     cells=lambda m: m.cells[:0],
-    layers=lambda m: m.layers[:0],
+    cell_tags=lambda m: m.cell_tags[:0],
 )
 changed(
     "no_surface.msh",
     "no named surface",
     facets=lambda m: m.facets[:0],
-    surfaces=lambda m: m.surfaces[:0],
+    facet_tags=lambda m: m.facet_tags[:0],
 )
 
 
@@ -283,9 +283,9 @@ def with_tags(name: str, tag: float) -> None:
         import meshio
 
         mesh = read_wall_arrays(EXAMPLE)
-        layers = with_rows(mesh.layers.astype(float), 0, tag)
+        layers = with_rows(mesh.cell_tags.astype(float), 0, tag)
         blocks = [("tetra", mesh.cells), ("triangle", mesh.facets)]
-        data = {"tag": [layers, mesh.surfaces.astype(float)]}
+        data = {"tag": [layers, mesh.facet_tags.astype(float)]}
         meshio.Mesh(mesh.points, blocks, cell_data=data).write(path)
 
     broken(name, "not one integer of 32 bits for each tetra", write)

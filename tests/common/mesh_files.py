@@ -23,13 +23,13 @@ def areas(wall: WallArrays) -> dict[str, float]:
     """Area of each surface [mm²]."""
     a, b, c = np.moveaxis(wall.points[wall.facets], 1, 0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-    return {n: area[wall.surfaces == t].sum() for n, t in wall.surface_names.items()}
+    return {n: area[wall.facet_tags == t].sum() for n, t in wall.surface_names.items()}
 
 
 def volumes(wall: WallArrays) -> dict[str, float]:
     """Volume of each layer [mm³]."""
     volume = np.abs(np.linalg.det(wall.points[wall.cells[:, 1:]] - wall.points[wall.cells[:, :1]]))
-    return {n: volume[wall.layers == t].sum() / 6 for n, t in wall.layer_names.items()}
+    return {n: volume[wall.cell_tags == t].sum() / 6 for n, t in wall.layer_names.items()}
 
 
 def watertight(wall: WallArrays) -> None:

@@ -260,8 +260,8 @@ def test_prestretch_of_one_layer(run, tmp_path):
 
     def write() -> None:
         arrays = read_wall_arrays(EXAMPLE)
-        one_layer = np.ones_like(arrays.layers)
-        one = replace(arrays, layers=one_layer, layer_names={"wall": 1})
+        one_layer = np.ones_like(arrays.cell_tags)
+        one = replace(arrays, cell_tags=one_layer, layer_names={"wall": 1})
         write_wall_arrays(tmp_path / "own.xdmf", one)
         text = 'mesh = "own.xdmf"\n[layers.wall]\nc = 20\n[surfaces.lumen]\npressure = 1\n'
         text += '[surfaces.opening_1]\nhold = "clamp"\n[surfaces.opening_2]\nhold = "clamp"\n'

@@ -31,7 +31,7 @@ def test_tube(tmp_path, quarter):
     agree(quality.cells == 3 * 2 * 3 * n * 7 and quality.minimum > 0.3, quality)
     watertight(wall)
     for axis, name in enumerate(("symmetry_x", "symmetry_y")):
-        corners = wall.facets[wall.surfaces == SURFACE_TAGS[name]]
+        corners = wall.facets[wall.facet_tags == SURFACE_TAGS[name]]
         agree((len(corners) > 0) == quarter and np.all(wall.points[corners][..., axis] == 0))
 
 

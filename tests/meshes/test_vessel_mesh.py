@@ -63,8 +63,8 @@ def test_vessel_has_layers_and_openings(artery):
 def test_vessel_does_not_overlap_itself(artery):
     """No point of the outer wall is much nearer to the lumen than the thickness."""
     wall = artery.wall
-    t = wall.facets[wall.surfaces == SURFACE_TAGS["lumen"]]
-    outer = wall.points[np.unique(wall.facets[wall.surfaces == SURFACE_TAGS["outer"]])]
+    t = wall.facets[wall.facet_tags == SURFACE_TAGS["lumen"]]
+    outer = wall.points[np.unique(wall.facets[wall.facet_tags == SURFACE_TAGS["outer"]])]
     distance = np.linalg.norm(
         outer - SurfaceProjection(wall.points, t).project(outer, candidates=60), axis=1
     )
@@ -76,7 +76,7 @@ def test_vessel_lies_on_the_surface(artery):
     """The lumen's points lie on the given surface, and its area is the given one."""
     wall = artery.wall
     x, t = read_stl(vessel.find_surface())
-    lumen = wall.facets[wall.surfaces == SURFACE_TAGS["lumen"]]
+    lumen = wall.facets[wall.facet_tags == SURFACE_TAGS["lumen"]]
     points = wall.points[np.unique(lumen)]
     small(np.linalg.norm(points - SurfaceProjection(x, t).project(points), axis=1).max(), 1e-9)
     a, b, c = np.moveaxis(x[t], 1, 0)
@@ -132,7 +132,7 @@ def test_layers_of_a_pipe(tmp_path, layers, through, size):
     volume = volumes(wall)
     R = 3.0 + np.cumsum([0.0, *layers.values()]) / sum(layers.values())
     equal([volume[name] for name in layers], np.pi * 10 * np.diff(R**2), 0.03)
-    count = [np.sum(wall.layers == wall.layer_names[name]) for name in layers]
+    count = [np.sum(wall.cell_tags == wall.layer_names[name]) for name in layers]
     if through is not None:
         agree(2 * count[0] == 3 * count[1], count)
 
@@ -160,7 +160,7 @@ def test_one_layer_from_a_surface_in_metres(tmp_path, monkeypatch, capsys):
 def test_wall_too_thick_for_its_crotches_is_refused(coarse, tmp_path):
     """On the lumen of the coarse vessel, whose triangles are few."""
     wall = read_wall_arrays(coarse)
-    t = wall.facets[wall.surfaces == SURFACE_TAGS["lumen"]]
+    t = wall.facets[wall.facet_tags == SURFACE_TAGS["lumen"]]
     stl = write_stl(tmp_path / "lumen.stl", wall.points, t, binary=True)
     with raises(ValueError, "quality of .* less than 0.1"):
         vessel.write_vessel(tmp_path / "v.msh", surface=stl, size=6.0, thickness=4.0)

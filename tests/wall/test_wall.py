@@ -144,7 +144,7 @@ def test_the_readmes_meshio_example(tmp_path, monkeypatch, wall, raw, suffix):
     code = re.sub(r"(points, .*surfaces = )\.\.\..*", r"\1arrays", code).replace(
         ".vtu", f".{suffix}"
     )
-    arrays = (raw.points, raw.cells, raw.layers, raw.facets, raw.surfaces)
+    arrays = (raw.points, raw.cells, raw.cell_tags, raw.facets, raw.facet_tags)
     monkeypatch.chdir(tmp_path)
     on_first(lambda: exec(code, {"arrays": arrays}))
     other = read_wall(tmp_path / f"own_wall.{suffix}", COMM, names=GROUPS)
@@ -159,7 +159,7 @@ def test_one_number_for_cells_and_triangles(tmp_path, wall, raw, suffix, name):
     meshio = pytest.importorskip("meshio")
     path = tmp_path / f"wall.{suffix}"
     cells = [("tetra", raw.cells), ("triangle", raw.facets)]
-    data = {name: [raw.layers, raw.surfaces]}
+    data = {name: [raw.cell_tags, raw.facet_tags]}
     on_first(lambda: meshio.Mesh(raw.points, cells, cell_data=data).write(path))
     agree(read_wall(path, COMM, names=GROUPS).names == wall.names)
     with raises(TypeError, r"names\['lumen'\] is 3: give Mapping\[str, tuple\[int, int\]\]"):
@@ -179,17 +179,17 @@ def test_any_number_of_layers(tmp_path, raw, names):
     """By any names; surfaces, too, and none of them has to be there."""
     layers = np.array(list(names.values()))[np.arange(len(raw.cells)) % len(names)]
     inside = {"inside": SURFACE_TAGS["lumen"]}
-    other = read_changed(tmp_path, replace(raw, layers=layers), names | inside | {"unused": 99})
+    other = read_changed(tmp_path, replace(raw, cell_tags=layers), names | inside | {"unused": 99})
     agree((other.layers, other.surfaces) == (names, inside), other.names)
     count = [len(whole(other.cell_tags.find(tag))) for tag in names.values()]
     agree(sum(count) >= len(raw.cells) and min(count) > 0, count)
 
 
 def test_numbers_that_have_no_names(tmp_path, raw):
-    """They are named by their numbers, not after parts of an artery."""
-    layers = np.where(raw.layers == 1, 1, 7)
-    surfaces = np.where(raw.surfaces == 4, 400, raw.surfaces)
-    other = read_changed(tmp_path, replace(raw, layers=layers, surfaces=surfaces), {})
+    """They get no anatomy that the file does not have."""
+    layers = np.where(raw.cell_tags == 1, 1, 7)
+    surfaces = np.where(raw.facet_tags == 4, 400, raw.facet_tags)
+    other = read_changed(tmp_path, replace(raw, cell_tags=layers, facet_tags=surfaces), {})
     agree(other.layers == {"layer_1": 1, "layer_7": 7}, other.layers)
     agree(other.surfaces == {f"surface_{k}": k for k in (3, 11, 12, 400)}, other.surfaces)
 
