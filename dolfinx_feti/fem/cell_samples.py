@@ -35,7 +35,7 @@ MIDPOINT_DEGREE = 2
 
 #: Cells that are evaluated together: a memory bound, some 10 MiB of values. With ten times as many
 #: cells at once, the evaluation of a mesh takes as long.
-CELLS_AT_ONCE = 50_000
+SAMPLED_CELLS_AT_ONCE = 50_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +93,8 @@ class CellSamples:
         minimum = np.empty(n_cells)
         mean = np.empty(n_cells)
         maximum = np.empty(n_cells)
-        for first in range(0, n_cells, CELLS_AT_ONCE):
-            chunk = slice(first, min(first + CELLS_AT_ONCE, n_cells))
+        for first in range(0, n_cells, SAMPLED_CELLS_AT_ONCE):
+            chunk = slice(first, min(first + SAMPLED_CELLS_AT_ONCE, n_cells))
             cells = np.arange(chunk.start, chunk.stop, dtype=np.int32)
             values = np.asarray(self._compiled.eval(self._mesh, cells)).reshape(len(cells), -1)
             minimum[chunk] = values.min(axis=1)

@@ -20,10 +20,10 @@ import dolfinx
 
 from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.runtime.arrays import Array, Mask
-from dolfinx_feti.torn.matrix import create_torn_matrix
+from dolfinx_feti.torn.matrix import DIRICHLET_DOFS, create_torn_matrix
 
 
-def create_torn_matrix_on(
+def create_matrix_on_torn_space(
     space: TornSpace,
     K: PETSc.Mat,
     bcs: Sequence[dolfinx.fem.DirichletBC],
@@ -65,7 +65,7 @@ def set_dirichlet_dofs(A: PETSc.Mat, is_dirichlet: Mask) -> None:
         is_dirichlet: Mask of the owned dofs, (owned,).
     """
     dofs = np.flatnonzero(is_dirichlet) + A.getOwnershipRange()[0]
-    A.compose("dirichlet", PETSc.IS().createGeneral(dofs.astype(PETSc.IntType), comm=A.comm))
+    A.compose(DIRICHLET_DOFS, PETSc.IS().createGeneral(dofs.astype(PETSc.IntType), comm=A.comm))
 
 
 def dirichlet_mask(V: dolfinx.fem.FunctionSpace, bcs: Sequence[dolfinx.fem.DirichletBC]) -> Mask:

@@ -48,7 +48,7 @@ SQUARE = 0.3
 
 #: Points whose coordinates [mm] agree to this number of digits after the point are equal: shared
 #: points of two blocks agree to rounding, 1e-14, and nodes of a mesh are at least 1e-3 apart.
-DIGITS = 9
+SAME_POINT_DIGITS = 9
 
 #: Bisections of an interval of length 1.2 that reach rounding: 1.2 / 2⁶⁰ is 1e-18.
 BISECTIONS = 60
@@ -160,7 +160,8 @@ def _join(blocks: list[Array]) -> tuple[Array, list[Numbers]]:
         All points, (n, 3), and the number of each node of each block, (i, j, k).
     """
     points = np.concatenate([block.reshape(-1, 3) for block in blocks])
-    rounded = np.round(points, DIGITS) + 0.0  # np.round may leave −0.0, which is not 0.0 in a row
+    # np.round may leave −0.0, which is not 0.0 in a row
+    rounded = np.round(points, SAME_POINT_DIGITS) + 0.0
     _, first, number = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
     ends = np.cumsum([block[..., 0].size for block in blocks])
     parts = np.split(number.ravel(), ends[:-1])

@@ -20,7 +20,7 @@ ALONG = 16
 HALF_AROUND = 10
 
 #: Digits after the point of coordinates [mm]: points that branches share become equal.
-DIGITS = 5
+STL_DIGITS = 5
 
 #: Upwards, normal to the plane of the branches.
 UP = np.array([0.0, 0.0, 1.0])
@@ -64,7 +64,7 @@ def write_random_lumen(
         for grid in grids:
             square_distance = np.sum((grid - top) ** 2, axis=-1, keepdims=True)
             grid += height * np.exp(-square_distance / radii[0] ** 2) * outwards
-    _write_stl(path, [np.round(grid, DIGITS) for grid in grids])
+    _write_stl(path, [np.round(grid, STL_DIGITS) for grid in grids])
 
 
 def _branch(

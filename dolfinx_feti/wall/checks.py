@@ -56,7 +56,7 @@ MIN_RELATIVE_VOLUME = 1e-12
 ORIENTATION_DEGREE = 4
 
 #: Cells whose orientations are computed at a time: a memory bound, some 20 MB for hexahedra.
-CELLS_AT_ONCE = 10_000
+CHECKED_CELLS_AT_ONCE = 10_000
 
 
 def check_rows(
@@ -183,8 +183,8 @@ def orientations(points: Array, cells: Integers) -> tuple[Numbers, Mask]:
     dφ = np.asarray(element.tabulate(1, ξ), np.float64)[1:, :, :, 0]  # (3, points, nodes)
     sign = np.zeros(len(cells), dtype=np.int64)
     is_flat = np.zeros(len(cells), dtype=bool)
-    for first in range(0, len(cells), CELLS_AT_ONCE):
-        chunk = slice(first, first + CELLS_AT_ONCE)
+    for first in range(0, len(cells), CHECKED_CELLS_AT_ONCE):
+        chunk = slice(first, first + CHECKED_CELLS_AT_ONCE)
         x = points[cells[chunk]]
         det = np.linalg.det(np.einsum("jqn,cni->cqij", dφ, x))  # det ∂x/∂ξ, (cells, points)
         sign[chunk][(det > 0.0).all(axis=1)] = 1

@@ -49,7 +49,7 @@ ANGLES = {"media": 29.0, "adventitia": 62.0}
 
 #: Length of a gradient over its mean in the wall, below which the direction comes from the cells
 #: around, as at stagnation points. A choice that was not measured.
-MIN_GRADIENT = 2e-3
+MIN_GRADIENT_FOR_DIRECTION = 2e-3
 
 #: Length of a mean of unit vectors below which they cancel, and the mean has no direction. A choice
 #: that was not measured; the mean of nearly parallel vectors has a length of about one.
@@ -226,7 +226,7 @@ def _unit_directions(wall: Wall, gradients: Array, normal: Array) -> Array:
     """
     comm = wall.mesh.comm
     n_owned = wall.mesh.topology.index_map(3).size_local
-    shortest = MIN_GRADIENT * cell_mean(wall, np.linalg.norm(gradients, axis=1))
+    shortest = MIN_GRADIENT_FOR_DIRECTION * cell_mean(wall, np.linalg.norm(gradients, axis=1))
     e, has_direction = _unit(gradients, normal, shortest)
     missing = comm.allreduce(int(np.sum(~has_direction[:n_owned])))
     missing_before = -1

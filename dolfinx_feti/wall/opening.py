@@ -47,7 +47,7 @@ MAX_CURVATURE_TIMES_THICKNESS = 1.0
 
 #: Lower bound of |∇t| over its mean in the wall, so that the thickness 1/|∇t| is finite where the
 #: gradient vanishes, as at a stagnation point. A choice that was not measured.
-MIN_GRADIENT = 0.25
+MIN_GRADIENT_FOR_THICKNESS = 0.25
 
 
 class Opening:
@@ -118,7 +118,7 @@ class Opening:
         for target, e in zip(self.directions, directions, strict=True):
             target.x.array[:] = e.x.array
         slope = np.linalg.norm(gradient(self.potentials.through), axis=1)  # |∇t|
-        min_slope = MIN_GRADIENT * cell_mean(self._wall, slope)
+        min_slope = MIN_GRADIENT_FOR_THICKNESS * cell_mean(self._wall, slope)
         self._thickness.x.array[:] = 1.0 / np.maximum(slope, min_slope)
         e0 = frame.circumferential.x.array.reshape(-1, 3)
         around = np.einsum("ci,cij,cj->c", e0, gradient(self._normals()), e0)

@@ -25,7 +25,7 @@ from dolfinx_feti.fem.decomposition import decompose, tear
 from dolfinx_feti.fem.facets import one_side
 from dolfinx_feti.fem.near_kernel import attach_near_kernel
 from dolfinx_feti.fem.split_form import split_torn_form
-from dolfinx_feti.fem.torn_matrix import create_torn_matrix_on, dirichlet_mask
+from dolfinx_feti.fem.torn_matrix import create_matrix_on_torn_space, dirichlet_mask
 from dolfinx_feti.torn.matrix import Torn
 
 SEED = 27182
@@ -41,7 +41,7 @@ def torn_matrix(lifetime):
         K = assembly.create_local_matrix(space, compiler)
         lifetime.own(K.mat)
         assembly.assemble(K, split_torn_form(problem.a, space, compiler))
-        return space, K.mat, lifetime.own(create_torn_matrix_on(space, K.mat, problem.bcs))
+        return space, K.mat, lifetime.own(create_matrix_on_torn_space(space, K.mat, problem.bcs))
 
     return create
 

@@ -46,7 +46,7 @@ def test_points(name):
 @pytest.mark.parametrize("kind", [Cell.triangle, Cell.quadrilateral])
 def test_values_of_a_linear_function(kind, at_once, monkeypatch):
     """Least and greatest are those at vertices, the mean that at the midpoint, in any portions."""
-    monkeypatch.setattr(cell_samples, "CELLS_AT_ONCE", at_once)
+    monkeypatch.setattr(cell_samples, "SAMPLED_CELLS_AT_ONCE", at_once)
     mesh = cube(2, 3, kind)
     x = ufl.SpatialCoordinate(mesh)
     samples = CellSamples(x[0] + 10 * x[1], mesh, Compiler(COMM), degree=2, quadrature_degree=2)

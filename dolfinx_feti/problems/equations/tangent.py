@@ -19,7 +19,7 @@ from dolfinx_feti.fem.condensation.condensation import CellMatrices, Condensatio
 from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.fem.near_kernel import attach_near_kernel
 from dolfinx_feti.fem.split_form import split_torn_form
-from dolfinx_feti.fem.torn_matrix import create_torn_matrix_on, set_dirichlet_dofs
+from dolfinx_feti.fem.torn_matrix import create_matrix_on_torn_space, set_dirichlet_dofs
 from dolfinx_feti.problems.equations.torn_dofs import TornDofs
 from dolfinx_feti.problems.forms import Forms
 from dolfinx_feti.runtime.arrays import Array, Mask
@@ -69,7 +69,7 @@ class TornTangent:
         #: The user's null space while A has a shift and is therefore regular; else None, and the
         #: null space is attached to A.
         self._detached_null_space: PETSc.NullSpace | None = None
-        self.A = create_torn_matrix_on(space, self._K.mat, [], self.diagonal, forms.symmetric)
+        self.A = create_matrix_on_torn_space(space, self._K.mat, [], self.diagonal, forms.symmetric)
         if condensation is not None:
             set_condensed_pressures(self.A, condensation.n_constraints)
         self._near_kernel: PETSc.NullSpace | None = None  # that this object has attached to A
