@@ -25,7 +25,6 @@ from dolfinx_feti.feti.subdomain.failures import NumberedErrors, on_subdomains
 from dolfinx_feti.feti.subdomain.matrix import SubdomainMatrix, create_sparse_matrices
 from dolfinx_feti.feti.subdomain.mode_search import SoftModeOptions, find_modes
 from dolfinx_feti.feti.subdomain.modes import SubdomainModes, rigid_modes
-from dolfinx_feti.feti.subdomain.orthonormal import orthonormal
 from dolfinx_feti.feti.subdomain.scaled import scale_matrix
 from dolfinx_feti.feti.subdomain.schur_operator import FormedSchurOperator, SchurOperator
 from dolfinx_feti.feti.subdomain.subdomain import Subdomain, interface_dofs
@@ -243,15 +242,12 @@ def create_generalized_inverse(
     with Lifetime() as inverses:  # destroyed if a later subdomain fails
         matrices = subdomain_matrices(S, analysis)
         for matrix, R, rigid_force in zip(matrices, rigid, rigid_forces, strict=True):
-            s = matrix.subdomain
-            with NumberedErrors(s.number):
-                # Restricted to Γ the modes are not orthonormal, and may be linearly dependent.
-                if S.is_interior_eliminated:
-                    R = orthonormal(R[s.is_on_interface])
+            with NumberedErrors(matrix.subdomain.number):
                 scaled = scale_matrix(
                     matrix, stiffness[matrix.dofs], allow_single_precision=allow_single_precision
                 )
-                factor, modes = find_modes(scaled, scaled.scale_modes(R), rigid_force, options)
+                R_scaled = scaled.scale_modes(matrix.modes_on_dofs(R))
+                factor, modes = find_modes(scaled, R_scaled, rigid_force, options)
             by_subdomain.append(inverses.own(SubdomainInverse(matrix, factor, modes)))
         inverses.release()  # the generalised inverse owns them
     return GeneralizedInverse(by_subdomain, torn.errors)

@@ -46,6 +46,13 @@ class SubdomainMatrix(Protocol):
         scale: an entry of it is zero if a mode without energy moves its dof, but no other dof of Γ.
         """
 
+    def modes_on_dofs(self, R: Array) -> Array:
+        """Return an orthonormal basis of modes on ``dofs``, (n_i, k).
+
+        Args:
+            R: Orthonormal modes on the free dofs of the subdomain.
+        """
+
     def multiply(self, X: Array) -> Array:
         """Return K X, (n_i, r)."""
 
@@ -97,6 +104,10 @@ class SparseSubdomainMatrix:
     def dofs(self) -> Indices:
         """Torn dofs of its rows, (n_i,)."""
         return self.subdomain.free_dofs
+
+    def modes_on_dofs(self, R: Array) -> Array:
+        """Return R, (n_i, k): the rows are all free dofs."""
+        return R
 
     def multiply(self, X: Array) -> Array:
         """Return K_i X, (n_i, r)."""

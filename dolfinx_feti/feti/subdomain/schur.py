@@ -21,6 +21,7 @@ from dolfinx_feti.feti.subdomain.blocks import multiply_block
 from dolfinx_feti.feti.subdomain.factors.create import factor_dense, factor_dense_for_preconditioner
 from dolfinx_feti.feti.subdomain.factors.packed import PackedMatrix
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
+from dolfinx_feti.feti.subdomain.orthonormal import orthonormal
 from dolfinx_feti.feti.subdomain.panels import Panels
 from dolfinx_feti.feti.subdomain.subdomain import Subdomain
 from dolfinx_feti.runtime.arrays import Array, Indices
@@ -104,6 +105,13 @@ class FormedSchurComplement(SchurComplement):
     def dofs(self) -> Indices:
         """Torn dofs of its rows: the interface, (n_{Γ,i},)."""
         return self.subdomain.interface
+
+    def modes_on_dofs(self, R: Array) -> Array:
+        """Return an orthonormal basis of modes R, restricted to the interface, (n_{Γ,i}, k).
+
+        Restricted modes are not orthonormal, and may be linearly dependent: k may be smaller.
+        """
+        return orthonormal(R[self.subdomain.is_on_interface])
 
     def multiply(self, X: Array, *, transpose: bool = False) -> Array:
         """Return S_i X = S_iᵀ X, (n_{Γ,i}, r): S_i is formed for symmetric matrices only."""
