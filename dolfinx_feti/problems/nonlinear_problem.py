@@ -200,10 +200,7 @@ class NonlinearProblem(TornProblem):
             TypeError: An unsupported element or scalar type.
         """
         check_scalar_type()
-        update = None
-        if before_assembly is not None:
-            require_callable(before_assembly)
-            update = partial(before_assembly, u)
+        update = _checked_update(before_assembly, u)
         for function in u if isinstance(u, Sequence) else [u]:
             require_function(function)
 
@@ -237,16 +234,13 @@ class NonlinearProblem(TornProblem):
         )
 
         # forms on the unknown that is torn
-        forms = derive(
-            blocks.F,
-            blocks.u,
-            J=blocks.J,
-            condense=blocks.fields,
-            energy=energy,
-            degree=quadrature_degree,
-            work=coupled.coupling_works(couplings),
-            updates_coefficients=update is not None,
+        forms, full_energy = _derive_forms(
+            blocks,
+            energy,
+            couplings,
             contacts=self._contacts.contacts,
+            degree=quadrature_degree,
+            updates_coefficients=update is not None,
         )
         check_kappa(kappa, has_incompressible_field=forms.compression is not None)
         coupled.refuse_condensed_fields(couplings, blocks.fields, forms.residuals[1:])
@@ -259,14 +253,9 @@ class NonlinearProblem(TornProblem):
                 internal_variables or {},
                 Compiler(comm, form_compiler_options, jit_options),
             )
-        content_energy = forms.energy  # its Constants identify the problem, even if it is dropped
-        # The equations of scalars are no derivatives of an energy. ``derive`` has dropped it if
-        # scalars do work on u; it is of no use without such work, either.
-        if couplings:
-            forms = replace(forms, energy=None)
         forms = _with_volume_ratio(forms, volume_ratio, quadrature_degree)
 
-        # torn matrix and system
+        # torn matrix and system; PETSc's objects, which __del__ destroys if anything below raises
         super().__init__(
             replace(forms, mixed=mixed),
             conditions,
@@ -300,20 +289,12 @@ class NonlinearProblem(TornProblem):
         scalar_equations = [c for coupling in couplings for c in coupling.equation.equations]
         self.content = content_of(
             (users_unknown, *blocks.fields, *self._contacts.multipliers),
-            (*forms.residuals, content_energy, *scalar_equations),
+            (*forms.residuals, full_energy, *scalar_equations),
         )
         self._internal_variables = create_internal_variables(
             internal_variables or {}, self._compiler, coefficients=self.content.coefficients
         )
-        self._cells = None
-        if forms.volume_ratio is not None:
-            self._cells = CellCheck(
-                forms.volume_ratio,
-                blocks.u,
-                blocks.fields,
-                self._compiler,
-                quadrature_degree=forms.degree,
-            )
+        self._cells = _create_cell_check(forms, blocks, self._compiler)
 
         # records and solver
         self._history_before_update: list[NewtonStep] = []  # of solves before the last update of λ
@@ -604,6 +585,77 @@ class NonlinearProblem(TornProblem):
 
     def _advice_of_solves(self) -> list[Advice]:
         return [finding.advice for finding in self._newton.findings]
+
+
+def _checked_update(
+    before_assembly: Callable[[Any], object] | None,
+    u: dolfinx.fem.Function | Sequence[dolfinx.fem.Function],
+) -> Callable[[], object] | None:
+    """Return the call of ``before_assembly`` with u as it was given; None if there is none.
+
+    Raises:
+        ValueError: ``before_assembly`` cannot be called.
+    """
+    if before_assembly is None:
+        return None
+    require_callable(before_assembly)
+    return partial(before_assembly, u)
+
+
+def _derive_forms(
+    blocks: NonlinearBlocks,
+    energy: ufl.Form | None,
+    couplings: Sequence[Coupling],
+    *,
+    contacts: Sequence[Contact],
+    degree: int | None,
+    updates_coefficients: bool,
+) -> tuple[Forms, ufl.Form | None]:
+    """Derive the forms on the unknown that is torn.
+
+    Args:
+        blocks: The user's forms and unknowns.
+        energy: The energy.
+        couplings: Scalars with their equations.
+        contacts: The contacts.
+        degree: The user's highest quadrature degree.
+        updates_coefficients: Whether the problem has a ``before_assembly``.
+
+    Returns:
+        The forms; and their energy, which they leave out if there are scalars: its Constants
+        identify the problem.
+
+    Raises:
+        ValueError: The forms do not fit each other, or the unknowns.
+        TypeError: A field cannot be condensed.
+    """
+    forms = derive(
+        blocks.F,
+        blocks.u,
+        J=blocks.J,
+        condense=blocks.fields,
+        energy=energy,
+        degree=degree,
+        work=coupled.coupling_works(couplings),
+        updates_coefficients=updates_coefficients,
+        contacts=contacts,
+    )
+    if not couplings:
+        return forms, forms.energy
+    # The equations of scalars are no derivatives of an energy. ``derive`` has dropped it if scalars
+    # do work on u; it is of no use without such work, either.
+    return replace(forms, energy=None), forms.energy
+
+
+def _create_cell_check(
+    forms: Forms, blocks: NonlinearBlocks, compiler: Compiler
+) -> CellCheck | None:
+    """Return the check of cells in accepted states; None if forms have no volume ratio."""
+    if forms.volume_ratio is None:
+        return None
+    return CellCheck(
+        forms.volume_ratio, blocks.u, blocks.fields, compiler, quadrature_degree=forms.degree
+    )
 
 
 def _with_volume_ratio(
