@@ -8,8 +8,8 @@ matrices on several processes*):
 
 - *fronts* (``fronts``): the first process of each computer has a Cholesky factor of all of N, and
   sends the solution to the others, if N is positive definite and its factor not too large;
-- *inverse* (``inverse``): if N is also small, each process has this factor, and computes from it its
-  own rows of N⁻¹, with which it multiplies;
+- *inverse* (``inverse``): if N is also small, each process has this factor, and computes from it
+  its own rows of N⁻¹, with which it multiplies;
 - *group* (``group``): else each group of processes has a factor of any solver of PETSc.
 
 A solve gathers b in one collective call. Fronts need a second one for the solution, and a group
