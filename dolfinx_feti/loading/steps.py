@@ -45,6 +45,9 @@ class Steps(LengthSettings):
     """How to choose the increments of the load; they grow after a quick step.
 
     Attributes:
+        first: The first increment [unit of the load].
+        least: The increment below which a failed step is not halved further.
+        growth: Largest factor of the increment from one step to the next.
         quick: Largest number of Newton steps with a new tangent in a quick load step. The default
             is a choice, not measured: a step from a good prediction takes three or four.
         rtol: Newton's relative tolerance at loads that are no targets; None for the solver's own.
@@ -76,6 +79,9 @@ class TimeSteps(LengthSettings):
     """How to choose the lengths of time steps [s].
 
     Attributes:
+        first: The first length [s].
+        least: The length below which a failed step is not halved further [s].
+        growth: Largest factor of the length from one step to the next.
         longest: The longest length [s]; the first one if not given.
         tolerance: Largest estimated error of the displacement in a step [mm]; if not given, steps
             grow to the longest length.
