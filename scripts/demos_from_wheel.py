@@ -37,8 +37,10 @@ OUT = ROOT / "build/demos_from_wheel"
 #: Seconds after which a demo is stopped: four times what the longest one takes.
 PATIENCE = 1200.0
 
-#: At the top of a checkout: what is not in the repository. Anywhere: caches.
+#: What is not in the repository: at the top of a checkout; in docs, where `make docs` may be
+#: writing meanwhile; caches anywhere.
 NOT_IN_REPOSITORY = shutil.ignore_patterns(".*", "build", "dist", "output", "*.egg-info")
+NOT_IN_DOCS = shutil.ignore_patterns("demos", "modules.md")
 CACHES = shutil.ignore_patterns("__pycache__")
 
 #: Variables that could lead a program to the checkout.
@@ -116,6 +118,8 @@ def build_sdist(folder: Path) -> Path:
         left_out = CACHES(where, names)
         if Path(where) == ROOT:
             left_out |= NOT_IN_REPOSITORY(where, names)
+        if Path(where) == ROOT / "docs":
+            left_out |= NOT_IN_DOCS(where, names)
         return left_out
 
     shutil.copytree(ROOT, source, ignore=ignored, symlinks=True)
