@@ -87,6 +87,7 @@ def write_scene(
         The scene, which a notebook shows at the end of a cell.
 
     Raises:
+        ValueError: ``viewer`` is zero or not finite. On all processes.
         OSError: The file cannot be written. On all processes.
     """
     path = Path(path)

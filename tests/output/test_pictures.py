@@ -112,6 +112,8 @@ def test_fibres_follow_the_layer(tmp_path):
     pictures.draw(tmp_path / "four.png", many)  # the fourth family has the first one's colour
     with raises(ValueError, "no layer 'intima'; it has .*media"):
         pictures.fibres(wall, families, "intima")
+    with raises(ValueError, "families is empty: give one direction at least"):
+        pictures.fibres(wall, [], "media")
 
 
 def test_plane_body(tmp_path):

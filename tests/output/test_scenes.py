@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from collective import COMM, agree, raises
+from collective import COMM, agree, equal, raises
 from wall_files import on_first
 
 import dolfinx
@@ -77,6 +77,25 @@ def test_scene_of_a_field(x_squared, tmp_path):
     agree((colours[at_end] == [253, 231, 36]).all())  # the last colour of viridis
     view = np.array(data["view"])
     agree(np.allclose(view @ view.T, np.eye(3)) and np.linalg.det(view) > 0.0, view)
+
+
+@pytest.mark.parametrize("viewer", [(0.0, 0.0, 1.0), (0.0, 0.0, -2.0), (0.0, 1.0, 0.0)])
+def test_scene_from_any_side(x_squared, tmp_path, viewer):
+    """Also from above, where the direction to the viewer is the upward one."""
+    panel = pictures.field(x_squared, "x²")
+    view = np.array(
+        read(scenes.write_scene(tmp_path / "box.html", panel, viewer=viewer).path)["view"]
+    )
+    equal(view @ view.T, np.eye(3), 1e-12)
+    equal(view[2], np.array(viewer) / np.linalg.norm(viewer), 1e-12)
+
+
+@pytest.mark.parametrize("viewer", [(0.0, 0.0, 0.0), (np.nan, 0.0, 1.0), (np.inf, 0.0, 0.0)])
+def test_direction_to_the_viewer_that_is_none(x_squared, tmp_path, viewer):
+    panel = pictures.field(x_squared, "x²")
+    with raises(ValueError, "viewer=.*give a finite direction that is not zero"):
+        scenes.write_scene(tmp_path / "box.html", panel, viewer=viewer)
+    agree(not list(tmp_path.iterdir()), list(tmp_path.iterdir()))
 
 
 def test_scene_of_a_plane_body(tmp_path):

@@ -61,7 +61,7 @@ def draw(
         The picture, which a notebook shows at the end of a cell.
 
     Raises:
-        ValueError: There is no panel.
+        ValueError: There is no panel, or ``viewer`` is zero or not finite.
         RuntimeError: This machine has neither a display nor a library for drawing without one.
         OSError: The file cannot be written. All errors are raised on all processes.
     """

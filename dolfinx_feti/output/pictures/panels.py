@@ -271,9 +271,11 @@ def fibres(wall: Wall, families: Sequence[Expr], layer: str, *, title: str = "")
 
     Raises:
         ImportError: PyVista is not installed.
-        ValueError: The wall has no such layer.
+        ValueError: The wall has no such layer, or ``families`` is empty.
     """
     require_pyvista()
+    if not families:
+        raise ValueError("families is empty: give one direction at least.")
     if layer not in wall.layers:
         raise ValueError(f"The wall has no layer {layer!r}; it has {', '.join(wall.layers)}.")
     mesh = wall.mesh

@@ -26,6 +26,11 @@ ELONGATED = 1.3
 #: body is drawn along this axis: the angle is less than 20 degrees.
 ALONG_AXIS = 0.94
 
+#: Cosine of the angle between the direction to the viewer and the upward one above which a body is
+#: seen from above or below. The upward direction in the picture is then the one to the back: it
+#: must not be parallel to the direction to the viewer.
+SEEN_FROM_ABOVE = 1.0 - 1e-6
+
 
 @dataclass(frozen=True, slots=True)
 class View:
@@ -49,13 +54,23 @@ def view_of(surfaces: Sequence[BodySurface], viewer: Sequence[float] | None) -> 
         surfaces: Surfaces of the bodies; the first one determines the direction.
         viewer: Direction from the body to the viewer, of any length; by default from the right, in
             front and above.
+
+    Raises:
+        ValueError: ``viewer`` is zero or not finite.
     """
     half_height = max(float(np.linalg.norm(np.ptp(s.points, axis=0))) / 2.0 for s in surfaces)
     if surfaces[0].is_plane:
         return View(np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), half_height)
     axes = _axes(surfaces[0].points)
     direction = VIEWER @ axes if viewer is None else np.asarray(viewer, dtype=np.float64)
-    return View(direction / np.linalg.norm(direction), axes[2], half_height)
+    length = np.linalg.norm(direction)
+    if not 0.0 < length < np.inf:
+        raise ValueError(f"viewer={viewer}: give a finite direction that is not zero.")
+    direction = direction / length
+    up = axes[2]
+    if abs(float(direction @ up)) > SEEN_FROM_ABOVE:
+        up = axes[1]
+    return View(direction, up, half_height)
 
 
 def _axes(points: Array) -> Array:
