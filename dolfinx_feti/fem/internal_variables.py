@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import dolfinx
 import ufl
@@ -65,7 +65,12 @@ class InternalVariables:
         Args:
             which: ``"in_forces"`` for the variables that affect the forces, whose update disturbs
                 the equilibrium, ``"recorded"`` for the others, or ``"all"``.
+
+        Raises:
+            ValueError: ``which`` is none of these.
         """
+        if which not in get_args(Updated):
+            raise ValueError(f"which={which!r}: choose 'all', 'in_forces' or 'recorded'.")
         new_values = {}
         for variable in self.variables:
             kind = "in_forces" if variable.affects_forces else "recorded"

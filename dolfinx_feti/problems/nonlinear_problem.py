@@ -562,6 +562,9 @@ class NonlinearProblem(TornProblem):
             which: ``"in_forces"`` for the variables that affect the forces, which paths update
                 after ``on_step``; ``"recorded"`` for the others, which paths update before it; or
                 ``"all"``.
+
+        Raises:
+            ValueError: ``which`` is none of these.
         """
         self._internal_variables.update(which)
         if which != "recorded":

@@ -161,3 +161,10 @@ def test_bad_internal_variables(block):
         block.problem(block.psi, {block.u: block.u})
     with raises(TypeError, "internal_variables has the key 'd'"):
         block.problem(block.psi, {"d": block.psi})
+
+
+def test_update_of_an_unknown_kind(block):
+    """Nothing is updated, and that is said."""
+    problem = block.problem(block.psi, {})
+    with raises(ValueError, "which='recorderd': choose 'all', 'in_forces' or 'recorded'"):
+        problem.update_internal_variables("recorderd")
