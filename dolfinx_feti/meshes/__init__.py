@@ -6,7 +6,7 @@
 ================================================  ================================================
 function                                          result
 ================================================  ================================================
-``tube.create_tube``, ``vessel.create_vessel``    a file, written by one process, and its quality
+``tube.write_tube``, ``vessel.write_vessel``      a file, written by one process, and its quality
 ``walls.open_wall``, ``walls.create_tube_wall``   a ``Wall`` on all processes, from such a file
 ``bricks.create_brick_tube``,                     a ``Wall`` on all processes, without a file
 ``ellipsoid.create_ellipsoid``

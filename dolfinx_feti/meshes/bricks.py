@@ -15,7 +15,7 @@ import numpy as np
 
 from dolfinx_feti.meshes.lattice import lattice_cells
 from dolfinx_feti.meshes.layers import create_sheets
-from dolfinx_feti.meshes.tags import SURFACE_TAGS
+from dolfinx_feti.meshes.tags import SURFACE_TAGS, tags_of
 from dolfinx_feti.meshes.tube import (
     ADVENTITIA,
     INNER_RADIUS,
@@ -65,8 +65,8 @@ def create_brick_tube(
         The wall, with the layers and surfaces of :mod:`dolfinx_feti.meshes.tube`.
 
     Raises:
-        ValueError: A length or the growth is not positive, or the order is not 1 or 2. On all
-            processes.
+        ValueError: A length or the growth is not positive, the order is not 1 or 2, or a number of
+            elements is too small. On all processes.
 
     Note:
         Collective.
@@ -117,9 +117,7 @@ def _create_arrays(
         cells=cells,
         cell_tags=np.repeat(sheets.tags, len(cells) // len(sheets.tags)),
         facets=np.concatenate(list(facets.values())),
-        facet_tags=np.concatenate(
-            [np.full(len(part), SURFACE_TAGS[name]) for name, part in facets.items()]
-        ),
+        facet_tags=tags_of(facets, SURFACE_TAGS),
         layer_names=sheets.layer_names,
         surface_names={name: SURFACE_TAGS[name] for name in facets},
     )

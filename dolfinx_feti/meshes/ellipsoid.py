@@ -24,7 +24,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti.meshes.lattice import lattice_cells
-from dolfinx_feti.meshes.tags import SURFACE_TAGS
+from dolfinx_feti.meshes.tags import SURFACE_TAGS, tags_of
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.collective import on_root_only
 from dolfinx_feti.wall.wall import Wall
@@ -127,7 +127,7 @@ def _create_arrays(n: int, through: int) -> WallArrays:
         cells=all_cells,
         cell_tags=np.ones(len(all_cells), dtype=np.int64),
         facets=np.concatenate(list(facets.values())),
-        facet_tags=np.concatenate([np.full(len(f), names[name]) for name, f in facets.items()]),
+        facet_tags=tags_of(facets, names),
         layer_names={"wall": 1},
         surface_names=names,
     )

@@ -12,8 +12,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_feti.meshes.tags import names_of
 from dolfinx_feti.runtime.arrays import Numbers
+from dolfinx_feti.wall.names import names_of
 from dolfinx_feti.wall.wall_arrays import WallArrays, distribute
 from dolfinx_feti.wall.xdmf import write_wall
 

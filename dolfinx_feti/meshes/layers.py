@@ -17,8 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dolfinx_feti.meshes.tags import SURFACE_TAGS, layer_tags, names_of
+from dolfinx_feti.meshes.tags import SURFACE_TAGS, layer_tags
 from dolfinx_feti.runtime.arrays import Array, Numbers
+from dolfinx_feti.wall.names import names_of
 from dolfinx_feti.wall.wall_arrays import WallArrays
 
 __all__ = ["Rim", "Sheets", "create_sheets", "grow_wall", "sort_corners"]

@@ -19,6 +19,7 @@ import basix.ufl
 import dolfinx
 
 from dolfinx_feti.meshes.curved import create_curved_mesh
+from dolfinx_feti.meshes.layers import PRISM_TETRAHEDRA
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.scotch import repeatable_partitions
 
@@ -83,8 +84,6 @@ def _prisms(divisions: int, through: int, radii: Array) -> tuple[Array, Numbers]
     cells = []
     for sheet in range(through):
         below = corners + sheet * len(xy)
-        above = corners + (sheet + 1) * len(xy)
-        cells.append(np.column_stack((below, above[:, 2])))
-        cells.append(np.column_stack((below[:, :2], above[:, 1:])))
-        cells.append(np.column_stack((below[:, 0], above)))
+        prisms = np.hstack([below, below + len(xy)])
+        cells += [prisms[:, tetrahedron] for tetrahedron in PRISM_TETRAHEDRA]
     return np.vstack(points), np.vstack(cells)

@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx_feti.runtime.arrays import Numbers
 
-__all__ = ["LAYER_TAGS", "SURFACE_TAGS", "layer_tags", "names_of"]
+__all__ = ["LAYER_TAGS", "SURFACE_TAGS", "layer_tags", "tags_of"]
 
 #: Tags of the layers of an artery.
 LAYER_TAGS = {"media": 1, "adventitia": 2}
@@ -30,11 +30,11 @@ def layer_tags(names: Iterable[str]) -> dict[str, int]:
     return {name: LAYER_TAGS.get(name, FIRST_OTHER_LAYER + i) for i, name in enumerate(names)}
 
 
-def names_of(tags: Numbers, names: Mapping[str, int]) -> dict[str, int]:
-    """Return the names whose tags occur, with these tags.
+def tags_of(parts: Mapping[str, Numbers], tags: Mapping[str, int]) -> Numbers:
+    """Return the tag of each row of all parts, one part after the other.
 
     Args:
-        tags: Tags of all cells or facets, (n,).
-        names: Tags by name.
+        parts: Cells or facets by the name of their layer or surface, (n_part, vertices).
+        tags: Tags by name.
     """
-    return {name: tag for name, tag in names.items() if np.any(tags == tag)}
+    return np.concatenate([np.full(len(part), tags[name]) for name, part in parts.items()])

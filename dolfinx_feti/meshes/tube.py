@@ -26,7 +26,7 @@ from dolfinx_feti.meshes.arguments import count, exit_on_errors, positive
 from dolfinx_feti.meshes.files import write_wall_arrays
 from dolfinx_feti.meshes.layers import Rim, create_sheets, grow_wall
 from dolfinx_feti.meshes.quality import MeshQuality, measure_quality
-from dolfinx_feti.meshes.tags import SURFACE_TAGS
+from dolfinx_feti.meshes.tags import SURFACE_TAGS, tags_of
 from dolfinx_feti.runtime.arrays import Array, Numbers
 
 __all__ = ["Counts", "count_around", "create_tube", "element_counts", "unit_tube", "write_tube"]
@@ -94,18 +94,9 @@ def write_tube(
     Raises:
         ValueError: An argument is out of its range.
     """
-    for name, value in (("length", length), ("size", size)):
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name}={value} is not a positive number of millimetres")
     counts = element_counts(
         length, size, quarter=quarter, through=through, around=around, along=along
     )
-    fewest_around = 1 if quarter else 3
-    if min(*counts.through, counts.along) < 1 or counts.around < fewest_around:
-        raise ValueError(
-            f"through={counts.through}, around={counts.around}, along={counts.along}: take one "
-            "element or more in each direction, three or more around a whole tube"
-        )
     unit_points, t, rim = unit_tube(counts.around, counts.along, quarter=quarter)
     outer_radius = INNER_RADIUS + MEDIA + ADVENTITIA
     lengths = np.array([1, 1, length])
@@ -141,13 +132,25 @@ def element_counts(
         through: Elements through the media and through the adventitia, if given.
         around: Elements around the circumference (a quarter of it for the quarter), if given.
         along: Elements along the axis, if given.
+
+    Raises:
+        ValueError: An argument is out of its range.
     """
+    for name, value in (("length", length), ("size", size)):
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"{name}={value} is not a positive number of millimetres")
     if through is None:
         through = (_count(MEDIA, size), _count(ADVENTITIA, size))
     if around is None:
         around = count_around(size, quarter=quarter)
     if along is None:
         along = _count(length, size)
+    fewest_around = 1 if quarter else 3
+    if min(*through, along) < 1 or around < fewest_around:
+        raise ValueError(
+            f"through={through}, around={around}, along={along}: take one element or more in each "
+            "direction, three or more around a whole tube"
+        )
     return Counts(through, around, along)
 
 
@@ -207,8 +210,8 @@ def unit_tube(around: int, along: int, *, quarter: bool) -> tuple[Array, Numbers
     if quarter:
         rims["symmetry_y"] = np.column_stack([a, d])[i == 0]
         rims["symmetry_x"] = np.column_stack([b, c])[i == around - 1]
-    tags = np.concatenate([np.full(len(e), SURFACE_TAGS[name]) for name, e in rims.items()])
-    return x, np.vstack([first, second]), Rim(np.vstack(list(rims.values())), tags)
+    rim = Rim(np.vstack(list(rims.values())), tags_of(rims, SURFACE_TAGS))
+    return x, np.vstack([first, second]), rim
 
 
 def main() -> None:

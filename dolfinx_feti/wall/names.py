@@ -22,6 +22,7 @@ __all__ = [
     "Groups",
     "checked_groups",
     "merged_names",
+    "names_of",
     "tags_with_names",
     "with_default_names",
 ]
@@ -83,7 +84,17 @@ def merged_names(
     """
     of_user = {name: tag for name, group_dim, tag in groups if group_dim == dim}
     remaining = {name: tag for name, tag in of_file.items() if tag not in of_user.values()}
-    return {name: tag for name, tag in (remaining | of_user).items() if np.any(tags == tag)}
+    return names_of(tags, remaining | of_user)
+
+
+def names_of(tags: Numbers, names: Mapping[str, int]) -> dict[str, int]:
+    """Return the names whose tags occur, with these tags.
+
+    Args:
+        tags: Tags of all cells or facets, (n,).
+        names: Tags by name.
+    """
+    return {name: tag for name, tag in names.items() if np.any(tags == tag)}
 
 
 def tags_with_names(names: Mapping[str, int], tags: Numbers) -> list[tuple[str | None, int]]:

@@ -42,6 +42,7 @@ from dolfinx_feti.wall.names import (
     Groups,
     checked_groups,
     merged_names,
+    names_of,
     tags_with_names,
     with_default_names,
 )
@@ -239,8 +240,7 @@ def _read_groups(gmsh: ModuleType, path: Path, dim: int) -> tuple[Numbers, Numbe
     all_tags = np.concatenate(tags)
     if not names:
         return all_elements, all_tags, with_default_names({}, all_tags, dim)
-    present = {name: tag for name, tag in names.items() if np.any(all_tags == tag)}
-    return all_elements, all_tags, present
+    return all_elements, all_tags, names_of(all_tags, names)
 
 
 def _group_names(gmsh: ModuleType, path: Path, dim: int) -> dict[str, int]:

@@ -82,6 +82,22 @@ def test_wrong_arguments(wrong):
         create_brick_tube(COMM, **({"length": 1.0, "size": 0.2} | wrong))
 
 
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"along": 0}, "along=0: take one element or more"),
+        ({"around": 2}, "around=2, .*three or more around a whole tube"),
+        ({"around": 0, "quarter": True}, "around=0"),
+        ({"through": (0, 1)}, r"through=\(0, 1\)"),
+        ({"length": float("inf")}, "length=inf is not a positive number"),
+    ],
+    ids=["along", "around", "around-a-quarter", "through", "length"],
+)
+def test_numbers_of_elements_that_make_no_tube(wrong, message):
+    with raises(ValueError, message):
+        create_brick_tube(COMM, **({"length": 1.0, "size": 0.2} | wrong))
+
+
 @pytest.mark.parametrize(("subdomains", "cells"), [(2, 1), (2, 2), (3, 1)])
 def test_mesh_fills_the_cube_and_keeps_subcubes_together(subdomains, cells):
     mesh, part = create_cube(COMM, subdomains, cells)
