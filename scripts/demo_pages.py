@@ -129,7 +129,8 @@ def fingerprint(page: Page) -> str:
     """Return a digest of all that the output of a demo depends on."""
     digest = hashlib.sha256(repr((page, dolfinx.__version__)).encode())
     files = [DEMOS / f"{page.name}.py", Path(__file__)]
-    files += sorted((ROOT / "dolfinx_feti").rglob("*.py"))
+    sources = (ROOT / "dolfinx_feti").rglob("*")
+    files += sorted(path for path in sources if path.suffix in (".py", ".c", ".h", ".html"))
     for path in files:
         digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -34,7 +34,7 @@ COLOURS_ON_DARK = "plasma"
 
 
 def run(source: str, name: str) -> dict[str, Any]:
-    """Run a program in a folder of its own; return its variables, with ``folder`` for the path."""
+    """Run a program in ``build/images/NAME``; return its variables."""
     folder = RUNS / name
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

@@ -33,7 +33,7 @@ class Report:
         multipliers: Rows of B.
         kernels: Number of subdomains with a kernel of each dimension, from 0.
         exact: Number of subdomains whose modes satisfy K R = 0.
-        elastic: Number of soft and buckling modes in R in addition to the kernels.
+        elastic: Number of soft modes (in Y) and of buckling modes (in R).
         inertia: Negative eigenvalues.
         interior: Whether the interior dofs are ``kept`` or ``eliminated``.
         coarse_size: Coarse unknowns.

@@ -106,7 +106,7 @@ class TimeSteps(LengthSettings):
         return self.first if self.longest is None else self.longest
 
     def length_rule(self) -> StepLengthRule[TimeStep]:
-        """Create the rule for the lengths; another rule is a subclass that overrides this."""
+        """Create the rule for the lengths; a subclass with another rule overrides this."""
         return ErrorControl(
             self.first,
             self.least,

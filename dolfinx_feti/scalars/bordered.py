@@ -312,7 +312,8 @@ class BorderedSolver:
         if ksp.getPythonContext().singular and not self._springs.count:
             # Supports have been removed since the springs were chosen.
             self._springs = PointSprings(A)
-            x, s = self._solve_with_springs(ksp, A, b, border, d, self._springs)
+            if self._springs.count:
+                x, s = self._solve_with_springs(ksp, A, b, border, d, self._springs)
         return x, s
 
     def _solve_with_springs(

@@ -32,13 +32,13 @@ def create_cavities(
     Raises:
         ValueError: The surface of one encloses no volume.
     """
+    ds = surface_measure(wall)
     couplings: list[Cavity | Windkessel] = []
     for name, filling in cavities.items():
         axis = None
         if filling.axis is not None:
             axis = np.eye(3)[AXES.index(filling.axis)]
-        ds = surface_measure(wall)(wall.surfaces[name])
-        cavity = Cavity(u, ds, filling.volume, axis=axis)
+        cavity = Cavity(u, ds(wall.surfaces[name]), filling.volume, axis=axis)
         if filling.windkessel:
             couplings.append(Windkessel(cavity, **filling.windkessel))
         else:

@@ -32,7 +32,7 @@ def on_first(make: Callable[[], T]) -> T:
 
 
 def tube(folder: Path, **options: object) -> Wall:
-    """Write ``tube.msh`` into a folder with the options of ``create_tube``, and read it."""
+    """Write ``tube.msh`` into a folder with the options of ``write_tube``, and read it."""
     path = folder / "tube.msh"
     on_first(lambda: write_tube(path, **options))
     return read_wall(path, COMM)

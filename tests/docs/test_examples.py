@@ -147,13 +147,13 @@ def names_of_a_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str
 def test_example_runs(module, name, code, names_of_a_user):
     if name in REQUIRED:
         pytest.importorskip(REQUIRED[name])
-    names = names_of_a_user | vars(importlib.import_module(module)) | names_of_a_user
+    names = vars(importlib.import_module(module)) | names_of_a_user
     exec(compile(code, f"the example of {module}.{name}", "exec"), names)
 
 
 @pytest.mark.parametrize("path", sorted(SHOWN))
 def test_main_names_have_an_example(path):
-    """In the docstring of the class, of its ``__init__``, or of the function."""
+    """In the docstring of the class, method or function."""
     module, _, name = path.rpartition(".")
     owner: Any
     if module.rpartition(".")[2][:1].isupper():

@@ -64,11 +64,11 @@ def test_all_options(kind, degree, pc_type, create_ksp):
     x.destroy()
 
 
-def with_form(problem, create_primal):
+def with_form(problem, form):
     """Return the problem with a form of u and v added to its bilinear form."""
     u = ufl.TrialFunction(problem.V)
     v = ufl.TestFunction(problem.V)
-    return replace(problem, a=problem.a + create_primal(u, v))
+    return replace(problem, a=problem.a + form(u, v))
 
 
 def carried(u, v):

@@ -44,11 +44,11 @@ METHODS = {
 every_method = each("options", METHODS)
 
 
-def changed(free, create_primal, *, add=True):
+def changed(free, form, *, add=True):
     """Add a form of u and v to the matrix of a problem, or put it in its place."""
     u = ufl.TrialFunction(free.V)
     v = ufl.TestFunction(free.V)
-    return replace(free, a=create_primal(u, v) * ufl.dx + (free.a if add else 0))
+    return replace(free, a=form(u, v) * ufl.dx + (free.a if add else 0))
 
 
 def vectors_laplacian(mesh):

@@ -194,7 +194,8 @@ def tube_at_the_end(impedance, inertia):
 
 
 @pytest.mark.serial
-@pytest.mark.parametrize(("inertia", "impedance"), [(False, Z), (True, 0.0)])
+@pytest.mark.parametrize("impedance", [0.0, Z])
+@pytest.mark.parametrize("inertia", [False, True])
 def test_order_on_a_path(inertia, impedance):
     """Half the step, a quarter of the error; the last one is beside the closed form."""
     runs = [

@@ -30,7 +30,6 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 #: README's program, from an installation.
 USE = f"""
 {PROGRAM}
-import sys
 from pathlib import Path
 import dolfinx_feti
 

@@ -178,9 +178,8 @@ class _Direct(_Solves):
         if self.K is None:
             self.K = K
         else:
-            if (
-                version_of(A) != self.version
-            ):  # PETSc factors a matrix anew that has been written to
+            # PETSc factors a matrix anew that has been written to.
+            if version_of(A) != self.version:
                 K.copy(self.K, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
             K.destroy()
         self.version = version_of(A)

@@ -64,7 +64,7 @@ def test_projection_in_single_precision(torn_grid, create_primal, monkeypatch):
     copies = double.system.copies
     z = copies.average(random(copies.size))
     r = copies.sum(random(copies.size))
-    guesses = [create_primal.coarse.initial_guess(r) for create_primal in (single, double)]
+    guesses = [primal.coarse.initial_guess(r) for primal in (single, double)]
     equal(*guesses, 1e-7)
     equal(single.coarse.correct(z, r), double.coarse.correct(z, r), 1e-6)
 
@@ -205,8 +205,8 @@ def test_jumps_in_every_formulation(options):
 
 @pytest.mark.processes(1, 2)
 def test_many_subdomains():
-    """One cell in each subdomain: 1728 on one process, 1000 on two."""
-    n = 12 if COMM.size == 1 else 10
+    """One cell in each subdomain: 3375 on one process, 1000 on two."""
+    n = 15 if COMM.size == 1 else 10
     problem = stiffened_cube(n, n, "columns", 1e6)
     agree(solves(problem).report().coarse_size > 6 * n**3 - 6 * n**2)
 

@@ -16,8 +16,6 @@ from typing import Protocol
 
 from petsc4py import PETSc
 
-import numpy as np
-
 from dolfinx_feti.feti.krylov_limits import STAGNATION_ITERATIONS
 from dolfinx_feti.feti.monitor import Monitor
 from dolfinx_feti.feti.primal.stopping import StoppingTest
@@ -44,11 +42,6 @@ class KrylovBasis:
     R: Array
     Z: Array
     H: Array
-
-
-def empty_basis(n: int) -> KrylovBasis:
-    """Return the basis of a method that stores no vectors of length n: no Ritz vectors follow."""
-    return KrylovBasis(np.zeros((1, n)), np.zeros((0, n)), np.zeros((1, 0)))
 
 
 class KrylovMethod(Protocol):
@@ -90,7 +83,7 @@ class KrylovMethod(Protocol):
             stopping: When the method ends.
             monitor: Called with the number of iterations and ‖r‖.
             stored_iterations: Largest number of iterations whose vectors are stored. The basis has
-                at most as many vectors Z, and may have none (:func:`empty_basis`).
+                at most as many vectors Z, and may have none (k = 0).
             allow_indefinite: Whether the solution is wanted if A has negative eigenvalues; if not,
                 a method that notices them ends with ``DIVERGED_INDEFINITE_MAT``. A method that does
                 not depend on their signs ignores it.

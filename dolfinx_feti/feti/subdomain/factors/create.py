@@ -78,7 +78,7 @@ def multifrontal_code(options: DirectOptions, comm: MPI.Comm) -> FrontCode | Non
     try:
         return load_fronts(comm)
     except RuntimeError as error:
-        warn(f"MUMPS factors the subdomains instead, which is slower: {error}", comm)
+        warn(f"MUMPS factors instead, which is slower: {error}", comm)
         return None
 
 
