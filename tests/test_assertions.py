@@ -124,6 +124,44 @@ def test_any_shows_the_values_that_it_looks_at():
     assert "message = 'the residual stagnates'" in text, text
 
 
+CHECKS_IN_LOOPS = {
+    "agree": lambda load: agree(load < 2.0),
+    "small": lambda load: small(load, 1.0),
+    "equal": lambda load: equal([load], [1.0]),
+    "uniform": lambda load: uniform([load], 1.0, 0.0),
+}
+
+
+@pytest.mark.parametrize("name", CHECKS_IN_LOOPS)
+def test_a_failure_in_a_loop_shows_which_case_fails(name):
+    """Variables of all loops around a check are shown, those of the functions that call it too."""
+
+    def check_loads(unit: str) -> None:
+        for _step, load in enumerate((1.0, 2.0)):
+            CHECKS_IN_LOOPS[name](load)
+
+    def check_units() -> None:
+        for unit in ("kPa", "mmHg"):
+            check_loads(unit)
+
+    message = failure(check_units)
+    for line in ("_step = 1", "load = 2.0", "unit = 'kPa'"):
+        assert message.count(f"    {line}\n") + message.endswith(f"    {line}") == COMM.size, (
+            message
+        )
+
+
+def test_variables_of_loops_that_have_ended_are_not_shown():
+    """A variable keeps its last value after a loop, which has nothing to do with the failure."""
+
+    def check() -> None:
+        for step in range(3):
+            agree(step < 3)
+        small(2.0, 1.0)
+
+    assert "step" not in failure(check)
+
+
 def test_long_values_are_shortened():
     text = "x" * 10_000
     assert len(failure(lambda: agree(text == ""))) < 1000 * COMM.size

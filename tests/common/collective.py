@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import NoReturn
 
 from mpi4py import MPI
@@ -20,7 +21,7 @@ from petsc4py import PETSc
 import numpy as np
 import numpy.typing as npt
 import pytest
-from explain import argument, explain
+from explain import argument, explain, loop_variables
 
 Array = npt.NDArray[np.float64]
 
@@ -34,23 +35,30 @@ def agree(ok: object, context: object = "") -> None:
     """Assert on all processes that a condition holds on each, so that no process goes on alone.
 
     A failure shows the condition as it is written in the test, the values of its operands on each
-    process where it fails, and the context.
+    process where it fails, the context, and the variables of loops around the call.
+
+    Args:
+        ok: The condition; collective operands are evaluated again if it fails.
+        context: What the condition does not contain, such as the message of a solver.
     """
     __tracebackhide__ = True
+    caller = sys._getframe(1)
     fails = COMM.allgather(not ok)
     if not any(fails):
         return
-    explanation = explain(sys._getframe(1))  # on all processes: operands may be collective
-    _fail_together(fails, f"{explanation}\n    {context}" if context != "" else explanation)
+    explanation = explain(caller)  # on all processes: operands may be collective
+    message = f"{explanation}\n    {context}" if context != "" else explanation
+    _fail_together(fails, message, caller)
 
 
 def small(error: float, tolerance: float) -> None:
     """Assert on all processes that abs(error) ≤ tolerance on each; NaN fails."""
     __tracebackhide__ = True
+    caller = sys._getframe(1)
     fails = COMM.allgather(not abs(error) <= tolerance)
     if any(fails):
-        expression = argument(sys._getframe(1), 0)
-        _fail_together(fails, f"|{expression}| = {abs(error)} > {tolerance}")
+        message = f"|{argument(caller, 0)}| = {abs(error)} > {tolerance}"
+        _fail_together(fails, message, caller)
 
 
 def equal(actual: npt.ArrayLike, expected: npt.ArrayLike, tolerance: float = 0.0) -> None:
@@ -68,7 +76,8 @@ def equal(actual: npt.ArrayLike, expected: npt.ArrayLike, tolerance: float = 0.0
     fails = COMM.allgather(actual.shape != expected.shape)
     if any(fails):
         shapes = f"have shapes {actual.shape} and {expected.shape}"
-        _fail_together(fails, f"{argument(caller, 0)} and {argument(caller, 1)} {shapes}")
+        message = f"{argument(caller, 0)} and {argument(caller, 1)} {shapes}"
+        _fail_together(fails, message, caller)
     scale = np.abs(expected).max(initial=0.0) if tolerance else 1.0
     allowed = tolerance * max(scale, 1e-300)
     error = np.abs(actual - expected).max(initial=0.0)
@@ -76,19 +85,20 @@ def equal(actual: npt.ArrayLike, expected: npt.ArrayLike, tolerance: float = 0.0
     if any(fails):
         compared = f"{argument(caller, 0)} and {argument(caller, 1)}"
         place = largest_difference(actual, expected)
-        _fail_together(fails, f"{compared} differ by {error} > {allowed} {place}")
+        _fail_together(fails, f"{compared} differ by {error} > {allowed} {place}", caller)
 
 
 def uniform(values: npt.ArrayLike, value: float, tolerance: float) -> None:
     """Assert on all processes that all entries have one value, to an absolute tolerance."""
     __tracebackhide__ = True
+    caller = sys._getframe(1)
     entries = np.asarray(values, dtype=float)
     error = np.abs(entries - value).max(initial=0.0)
     fails = COMM.allgather(not error <= tolerance)
     if any(fails):
-        expression = argument(sys._getframe(1), 0)
         place = largest_difference(entries, np.full_like(entries, value))
-        _fail_together(fails, f"{expression} differs by {error} > {tolerance} {place}")
+        message = f"{argument(caller, 0)} differs by {error} > {tolerance} {place}"
+        _fail_together(fails, message, caller)
 
 
 def largest_difference(actual: Array, expected: Array) -> str:
@@ -106,10 +116,19 @@ def largest_difference(actual: Array, expected: Array) -> str:
     return f"{entry}\n    {actual.tolist()} instead of\n    {expected.tolist()}"
 
 
-def _fail_together(fails: list[bool], message: str) -> NoReturn:
-    """Raise an AssertionError on all processes, with the messages of those where a check fails."""
+def _fail_together(fails: list[bool], message: str, caller: FrameType) -> NoReturn:
+    """Raise an AssertionError on all processes, with the messages of those where a check fails.
+
+    Args:
+        fails: Whether the check fails, one for each process.
+        message: What the check compares on this process.
+        caller: Frame that calls the check; the variables of loops around the call are added.
+    """
     __tracebackhide__ = True
-    messages = COMM.allgather(message)
+    lines = message.splitlines()
+    loops = [f"    {line}" for line in loop_variables(caller)]
+    lines += [line for line in loops if line not in lines]
+    messages = COMM.allgather("\n".join(lines))
     wrong = [rank for rank, fail in enumerate(fails) if fail]
     raise AssertionError("\n".join(f"rank {rank}: {messages[rank]}" for rank in wrong))
 

@@ -14,10 +14,14 @@ import functools
 import itertools
 import linecache
 from collections.abc import Iterator
+from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
 
 import numpy as np
+
+#: Folder of the code whose loops are shown; pytest and the package have loops of their own.
+TESTS = Path(__file__).parents[1]
 
 #: Longest text of a value: a few lines of a terminal; arrays and lists of records exceed it.
 MAX_CHARACTERS = 400
@@ -107,6 +111,44 @@ def describe(node: ast.expr, scope: dict[str, Any]) -> Iterator[str]:
             yield from value_of(operand, scope)
     else:
         yield from value_of(node, scope)
+
+
+def loop_variables(frame: FrameType) -> list[str]:
+    """Return the values of the variables of all loops in which a check is called, one a line.
+
+    These are the ``for`` loops around the call, in its function and in the functions that call it,
+    up to the test. They show which case of a loop fails.
+
+    Args:
+        frame: Frame that calls the check.
+    """
+    lines: list[str] = []
+    for level in frames_up_to_test(frame):
+        for loop in loops_of(level.f_code.co_filename):
+            is_inside = loop.body[0].lineno <= level.f_lineno <= (loop.body[-1].end_lineno or 0)
+            if is_inside:
+                names = [part.id for part in ast.walk(loop.target) if isinstance(part, ast.Name)]
+                known = [name for name in names if name in level.f_locals]
+                lines += [f"{name} = {shown(level.f_locals[name])}" for name in known]
+    return list(dict.fromkeys(lines))  # in order, each once
+
+
+def frames_up_to_test(frame: FrameType) -> Iterator[FrameType]:
+    """Yield a frame and those that have called it, up to that of the test, if they are of tests."""
+    level: FrameType | None = frame
+    while level is not None:
+        if TESTS in Path(level.f_code.co_filename).parents:
+            yield level
+            if level.f_code.co_name.startswith("test_"):
+                return
+        level = level.f_back
+
+
+@functools.cache
+def loops_of(filename: str) -> list[ast.For]:
+    """Return all ``for`` loops in a file, an outer one before those in it."""
+    tree = ast.parse("".join(linecache.getlines(filename)))
+    return [node for node in ast.walk(tree) if isinstance(node, ast.For)]
 
 
 def is_over_entries(node: ast.expr) -> bool:
