@@ -32,12 +32,12 @@ from dolfinx_feti.comparison.solvers import (
 )
 from dolfinx_feti.feti.solver import FETI
 from dolfinx_feti.feti.subdomain.factors.petsc_solver import failure_message
-from dolfinx_feti.mechanics.values import require_sequence, require_type
 from dolfinx_feti.problems.linear_problem import LinearProblem
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.collective import error_message, on_all
 from dolfinx_feti.runtime.cost import Cost, timed_solve
 from dolfinx_feti.runtime.lifetime import Lifetime
+from dolfinx_feti.runtime.values import require_sequence, require_type
 from dolfinx_feti.text_tables import Cell, json_value, text_table
 
 __all__ = ["Comparison", "SolverResult", "compare"]

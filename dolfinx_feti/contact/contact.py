@@ -36,8 +36,8 @@ from dolfinx_feti.contact.points import create_point_space
 from dolfinx_feti.contact.surface import ContactSurface
 from dolfinx_feti.contact.tools import Tool
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.mechanics.values import require_positive
 from dolfinx_feti.runtime.arrays import Array, Indices
+from dolfinx_feti.runtime.values import require_positive
 
 __all__ = ["Contact"]
 

@@ -27,7 +27,7 @@ import numpy as np
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.mechanics.values import require_finite, require_positive
+from dolfinx_feti.runtime.values import require_finite, require_positive
 
 __all__ = ["Tool", "Vector", "cylinder", "half_space", "sphere", "torus", "union"]
 

@@ -17,7 +17,7 @@ from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.cell_volumes import CellVolumes, advise_on_volumes, summarise_volumes
 from dolfinx_feti.fem.cell_samples import CellSamples, CellValues
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.mechanics.deformation import VolumeRatio
+from dolfinx_feti.fem.user_forms.deformation import VolumeRatio
 from dolfinx_feti.runtime.collective import on_all, warn
 
 __all__: list[str] = []  # users call NonlinearProblem.diagnose

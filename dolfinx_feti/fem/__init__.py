@@ -28,10 +28,10 @@ compilation, evaluation   cell_kernels, compiler, cell_samples
 from forms to A           decomposition, split_form, assembly, torn_matrix, near_kernel
 condensed fields          condensation
 materials with memory     internal_variables
-checks of users' forms    checks, pressures, content
+forms of users            user_forms
 ========================  =======================================================================
 
 In the order of the data: elements, quadrature, nodes, cell_kernels, compiler, cell_samples, facets,
 decomposition, split_form, assembly, torn_matrix, near_kernel, condensation, internal_variables,
-checks, pressures, content.
+user_forms.
 """

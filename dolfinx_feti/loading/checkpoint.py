@@ -25,7 +25,7 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_feti.fem.content import Content
+from dolfinx_feti.fem.user_forms.form_content import FormContent
 from dolfinx_feti.loading.archive import (
     exhaust,
     gathered_arrays,
@@ -118,7 +118,7 @@ class Checkpoint:
         record: Mapping[str, object],
         past: Sequence[Sequence[Array]] = (),
         *,
-        content: Content | None = None,
+        content: FormContent | None = None,
         changing: Sequence[int] = (),
     ) -> None:
         """Write the present state in place of the last one. Collective.
@@ -166,7 +166,7 @@ class Checkpoint:
         self.record = head["record"]
 
     def read(
-        self, functions: Sequence[dolfinx.fem.Function], *, content: Content | None = None
+        self, functions: Sequence[dolfinx.fem.Function], *, content: FormContent | None = None
     ) -> list[list[Array]]:
         """Set the functions to the state in the folder. Collective.
 

@@ -15,8 +15,8 @@ from petsc4py import PETSc
 
 import dolfinx
 
-from dolfinx_feti.fem.content import Content
 from dolfinx_feti.fem.internal_variables import Updated
+from dolfinx_feti.fem.user_forms.form_content import FormContent
 from dolfinx_feti.problems.equations.tangent import TangentId
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
@@ -68,7 +68,7 @@ class FixedPoint(ABC):
         return self._problem.unknown
 
     @property
-    def content(self) -> Content:
+    def content(self) -> FormContent:
         """The content of the inner problem's forms."""
         return self._problem.content
 

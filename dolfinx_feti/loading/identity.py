@@ -22,7 +22,7 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_feti.fem.content import Content
+from dolfinx_feti.fem.user_forms.form_content import FormContent
 from dolfinx_feti.runtime.compat import geometry_dofmap
 
 __all__ = ["describe_problem", "differences"]
@@ -37,7 +37,7 @@ INVERSE_GOLDEN_RATIO = (np.sqrt(5.0) - 1.0) / 2.0
 
 
 def describe_problem(
-    functions: Sequence[dolfinx.fem.Function], content: Content | None, changing: Sequence[int]
+    functions: Sequence[dolfinx.fem.Function], content: FormContent | None, changing: Sequence[int]
 ) -> dict[str, Any]:
     """Return what identifies a problem, as JSON can hold it. Collective.
 

@@ -40,8 +40,8 @@ from dolfinx_feti.loading.state import PathState
 from dolfinx_feti.loading.stepper import Stepper
 from dolfinx_feti.loading.steps import Steps
 from dolfinx_feti.loading.tolerances import loose_tolerances
-from dolfinx_feti.mechanics.values import require_sequence, require_type
 from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.values import require_sequence, require_type
 
 __all__ = ["follow_load"]
 

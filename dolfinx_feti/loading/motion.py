@@ -45,9 +45,9 @@ from ufl.core.expr import Expr
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.assembly import assemble_owned
 from dolfinx_feti.mechanics.supports import DashpotFactor, dashpots_in
-from dolfinx_feti.mechanics.values import require_positive, require_within
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.lifetime import Lifetime
+from dolfinx_feti.runtime.values import require_positive, require_within
 
 __all__ = ["Motion", "dirichlet_dofs", "stop_motions"]
 

@@ -33,10 +33,10 @@ from dolfinx_feti.loading.fixed_point import MAX_SOLVES, FixedPoint
 from dolfinx_feti.loading.load_step import LoadStep
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import Steps
-from dolfinx_feti.mechanics.values import require_sequence, require_type
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.problems.solvers import relative_tolerance
 from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.values import require_sequence, require_type
 
 __all__ = ["prestress"]
 

@@ -11,8 +11,8 @@ from petsc4py import PETSc
 
 import dolfinx
 
-from dolfinx_feti.fem.content import Content
 from dolfinx_feti.fem.internal_variables import Updated
+from dolfinx_feti.fem.user_forms.form_content import FormContent
 from dolfinx_feti.problems.equations.tangent import TangentId
 from dolfinx_feti.problems.history import NewtonStep
 
@@ -31,7 +31,7 @@ class Problem(Protocol):
         """The unknown that is torn, such as the displacement."""
 
     @property
-    def content(self) -> Content:
+    def content(self) -> FormContent:
         """The unknowns, coefficients and constants of the forms."""
 
     @property

@@ -24,7 +24,7 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_feti.fem.content import Content
+from dolfinx_feti.fem.user_forms.form_content import FormContent
 from dolfinx_feti.loading.checkpoint import Checkpoint
 from dolfinx_feti.runtime.arrays import Array
 
@@ -61,7 +61,7 @@ class PathState:
     def __init__(
         self,
         at: float,
-        content: Content,
+        content: FormContent,
         unknowns: Iterable[dolfinx.fem.Function],
         histories: Iterable[dolfinx.fem.Function],
         constants: Sequence[dolfinx.fem.Constant] = (),

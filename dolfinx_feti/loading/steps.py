@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from dolfinx_feti.loading.load_step import LoadStep
 from dolfinx_feti.loading.step_length import ErrorControl, GrowthAfterQuickSteps, StepLengthRule
 from dolfinx_feti.loading.time_step import TimeStep
-from dolfinx_feti.mechanics.values import require_number, require_positive, require_within
+from dolfinx_feti.runtime.values import require_number, require_positive, require_within
 
 __all__ = ["LengthSettings", "Steps", "TimeSteps"]
 

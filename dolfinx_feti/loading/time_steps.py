@@ -38,10 +38,10 @@ from dolfinx_feti.loading.state import PathState
 from dolfinx_feti.loading.stepper import Stepper
 from dolfinx_feti.loading.steps import TimeSteps
 from dolfinx_feti.loading.time_step import TimeStep
-from dolfinx_feti.mechanics.values import require_sequence, require_type
 from dolfinx_feti.problems.nonlinear_problem import NonlinearProblem
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
+from dolfinx_feti.runtime.values import require_sequence, require_type
 
 __all__ = ["follow_time"]
 

@@ -7,11 +7,9 @@
 Methods in Engineering 2014 (docs/references.md). Public names are imported from the files, or from
 ``dolfinx_feti.kinematics``, ``.materials``, ``.loads`` and ``.supports``.
 
-- ``values`` checks arguments of users, for all folders.
-- ``random_fields`` and ``deformation`` search the user's forms for the deformation gradient.
 - ``trial_displacements`` has the numerical test of symmetry for loads.
 - All others write energies and forms in UFL.
 
-In the order of the data: values, kinematics, random_fields, deformation, residual_stress,
-materials, memory, trial_displacements, loads, supports.
+In the order of the data: kinematics, residual_stress, materials, memory, trial_displacements,
+loads, supports.
 """

@@ -31,7 +31,7 @@ from ufl.corealg.traversal import traverse_unique_terminals
 
 from dolfinx_feti.mechanics.kinematics import deformation_gradient
 from dolfinx_feti.mechanics.trial_displacements import FORCE_RTOL, free_norm, trial_displacement
-from dolfinx_feti.mechanics.values import require_sequence, require_within
+from dolfinx_feti.runtime.values import require_sequence, require_within
 
 __all__ = [
     "enclosed_volume",

@@ -41,7 +41,7 @@ from dolfinx_feti.mechanics.kinematics import (
     isochoric_invariant_5,
     isochoric_invariant_8,
 )
-from dolfinx_feti.mechanics.values import require_not_negative, require_positive, require_within
+from dolfinx_feti.runtime.values import require_not_negative, require_positive, require_within
 
 __all__ = [
     "ArteryParameters",

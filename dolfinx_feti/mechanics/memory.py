@@ -34,7 +34,7 @@ from ufl.core.expr import Expr
 from ufl.variable import Variable
 
 from dolfinx_feti.mechanics.materials import Parameter
-from dolfinx_feti.mechanics.values import require_positive, require_within
+from dolfinx_feti.runtime.values import require_positive, require_within
 
 __all__ = ["MaxwellBranch", "damaged", "viscoelastic"]
 

@@ -36,7 +36,7 @@ from collections.abc import Sequence
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.mechanics.values import require_finite, require_positive, require_within
+from dolfinx_feti.runtime.values import require_finite, require_positive, require_within
 
 __all__ = [
     "check_opening",

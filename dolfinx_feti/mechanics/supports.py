@@ -27,7 +27,7 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.mechanics.values import require_not_negative
+from dolfinx_feti.runtime.values import require_not_negative
 
 __all__ = [
     "DashpotFactor",

@@ -23,11 +23,11 @@ from ufl.core.expr import Expr
 from ufl.domain import extract_domains
 
 from dolfinx_feti.fem.quadrature import quadrature_rule
-from dolfinx_feti.mechanics.values import require_sequence
 from dolfinx_feti.output.file_fields import FieldCopy, QuadratureFields, VertexFields
 from dolfinx_feti.output.file_formats import MeshOutput, PointOutput, chosen_format
 from dolfinx_feti.runtime.collective import error_message, on_all
 from dolfinx_feti.runtime.folders import writable_folder
+from dolfinx_feti.runtime.values import require_sequence
 
 __all__ = ["FieldWriter"]
 

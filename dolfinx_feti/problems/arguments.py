@@ -20,7 +20,7 @@ import dolfinx
 import ufl
 from ufl.finiteelement import AbstractFiniteElement
 
-from dolfinx_feti.fem.checks import check_space
+from dolfinx_feti.fem.user_forms.checks import check_space
 from dolfinx_feti.problems.unknowns.alternatives import alternative_for
 from dolfinx_feti.problems.unknowns.mixed_of_one import MixedOfOne
 from dolfinx_feti.runtime.petsc_options import require_prefix

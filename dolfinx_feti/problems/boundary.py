@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import dolfinx
 import ufl
 
-from dolfinx_feti.mechanics.values import require_type
 from dolfinx_feti.problems.arguments import require_form
+from dolfinx_feti.runtime.values import require_type
 from dolfinx_feti.wall.conditions.boundary import Boundary
 
 

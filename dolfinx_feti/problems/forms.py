@@ -27,7 +27,6 @@ from ufl.algorithms import extract_coefficients
 from ufl.corealg.traversal import unique_pre_traversal
 
 from dolfinx_feti.contact.contact import Contact
-from dolfinx_feti.fem.checks import check_condensed, check_forms, check_meshes
 from dolfinx_feti.fem.quadrature import (
     highest_estimate,
     limit_quadrature_degree,
@@ -35,7 +34,8 @@ from dolfinx_feti.fem.quadrature import (
     quadrature_degrees,
     set_quadrature_degrees,
 )
-from dolfinx_feti.mechanics.deformation import VolumeRatio, find_volume_ratio
+from dolfinx_feti.fem.user_forms.checks import check_condensed, check_forms, check_meshes
+from dolfinx_feti.fem.user_forms.deformation import VolumeRatio, find_volume_ratio
 from dolfinx_feti.problems.arguments import require_form, require_torn_space
 from dolfinx_feti.problems.unknowns.block_forms import split_linear, without_parts, zero_load
 from dolfinx_feti.problems.unknowns.compression import Compression, potential_of, with_compression

@@ -20,7 +20,7 @@ import ufl
 
 from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.assembly import assemble_owned
-from dolfinx_feti.fem.checks import check_scalar_type
+from dolfinx_feti.fem.user_forms.checks import check_scalar_type
 from dolfinx_feti.problems.arguments import checked_conditions, require_function
 from dolfinx_feti.problems.forms import as_tuple, linear_forms
 from dolfinx_feti.problems.history import NewtonStep, proved_negative

@@ -23,12 +23,12 @@ from dolfinx_feti.contact.contact import Contact
 from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.cell_check import CellCheck
 from dolfinx_feti.diagnosis.cell_volumes import CellVolumes
-from dolfinx_feti.fem.checks import check_scalar_type
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.content import content_of
 from dolfinx_feti.fem.internal_variables import Updated, create_internal_variables
-from dolfinx_feti.fem.pressures import check_pressures
-from dolfinx_feti.mechanics.deformation import volume_ratio_of_expression
+from dolfinx_feti.fem.user_forms.checks import check_scalar_type
+from dolfinx_feti.fem.user_forms.deformation import volume_ratio_of_expression
+from dolfinx_feti.fem.user_forms.forgotten_pressures import check_pressures
+from dolfinx_feti.fem.user_forms.form_content import content_of
 from dolfinx_feti.problems.arguments import (
     checked_conditions,
     require_callable,

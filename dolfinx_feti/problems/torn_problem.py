@@ -23,9 +23,9 @@ from dolfinx_feti.diagnosis.advice import Advice
 from dolfinx_feti.diagnosis.cell_volumes import CellVolumes
 from dolfinx_feti.diagnosis.run import Diagnosis, diagnose
 from dolfinx_feti.fem.assembly import assemble_owned
-from dolfinx_feti.fem.checks import check_forms
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import decompose, suggested_number
+from dolfinx_feti.fem.user_forms.checks import check_forms
 from dolfinx_feti.problems.arguments import checked_conditions, checked_prefix, require_form
 from dolfinx_feti.problems.equations.system import Residual, System
 from dolfinx_feti.problems.forms import Forms

@@ -1,12 +1,13 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Tools for MPI, PETSc, compiled code and the operating system, which do not depend on FETI.
+"""Tools for users' arguments, MPI, PETSc, compiled code and the system, all independent of FETI.
 
 ===================  ==========================================================================
 tools for            files
 ===================  ==========================================================================
 types, versions      ``arrays``, ``compat`` (dolfinx and PETSc)
+arguments of users   ``values``
 partitions           ``scotch``
 MPI                  ``collective``, ``star_forest``
 distributed vectors  ``norms``, ``anderson`` (fixed points in loading/ and problems/)
@@ -16,6 +17,7 @@ compiled code        ``native``
 operating system     ``folders``, ``cost``
 ===================  ==========================================================================
 
-In the order of the data: arrays, compat, scotch, collective, star_forest, lifetime, events,
-norms, anderson, native, petsc_errors, petsc_library, linear_map, petsc_options, folders, cost.
+In the order of the data: arrays, values, compat, scotch, collective, star_forest, lifetime,
+events, norms, anderson, native, petsc_errors, petsc_library, linear_map, petsc_options, folders,
+cost.
 """

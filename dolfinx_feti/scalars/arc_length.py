@@ -20,7 +20,7 @@ import numpy as np
 import dolfinx
 import ufl
 
-from dolfinx_feti.mechanics.values import require_finite
+from dolfinx_feti.runtime.values import require_finite
 from dolfinx_feti.scalars.equations import Coupling, ScalarEquation
 
 __all__ = ["ArcLength"]

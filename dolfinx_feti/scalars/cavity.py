@@ -23,8 +23,8 @@ import ufl
 
 from dolfinx_feti.mechanics.loads import enclosed_volume, follower_pressure
 from dolfinx_feti.mechanics.trial_displacements import FORCE_RTOL, free_norm, trial_displacement
-from dolfinx_feti.mechanics.values import require_finite, require_positive
 from dolfinx_feti.runtime.arrays import Indices
+from dolfinx_feti.runtime.values import require_finite, require_positive
 from dolfinx_feti.scalars.equations import Coupling, ScalarEquation
 
 __all__ = ["Cavity"]

@@ -11,7 +11,7 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from dolfinx_feti.mechanics.values import require_finite
+from dolfinx_feti.runtime.values import require_finite
 from dolfinx_feti.scalars.equations import ScalarEquation
 
 __all__ = ["mean_value", "rigid_motions"]

@@ -20,7 +20,7 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_feti.mechanics.values import require_finite, require_not_negative, require_positive
+from dolfinx_feti.runtime.values import require_finite, require_not_negative, require_positive
 from dolfinx_feti.scalars.cavity import Cavity
 from dolfinx_feti.scalars.equations import Coupling, ScalarEquation
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from dolfinx_feti.mechanics.values import require_not_negative, require_positive, require_within
+from dolfinx_feti.runtime.values import require_not_negative, require_positive, require_within
 from dolfinx_feti.wall.conditions.condition import Condition
 from dolfinx_feti.wall.conditions.pressure import Pressure
 from dolfinx_feti.wall.conditions.supports import Dashpot

@@ -28,9 +28,9 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_feti.mechanics.values import require_type
 from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.values import require_type
 from dolfinx_feti.wall.laplace import gradient, solve_laplace
 from dolfinx_feti.wall.wall import Wall, area, by_layer, facets, openings
 

@@ -34,7 +34,7 @@ from dolfinx_feti.mechanics.residual_stress import (
     opening_deformation,
     residual_stretch,
 )
-from dolfinx_feti.mechanics.values import require_type
+from dolfinx_feti.runtime.values import require_type
 from dolfinx_feti.wall.fibres import cell_mean, frame_of, solve_potentials
 from dolfinx_feti.wall.laplace import gradient
 from dolfinx_feti.wall.wall import Wall, by_layer

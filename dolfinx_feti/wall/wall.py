@@ -20,9 +20,9 @@ import numpy as np
 import dolfinx
 import ufl
 
-from dolfinx_feti.mechanics.values import require_finite, require_type
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.collective import bounding_box, on_all
+from dolfinx_feti.runtime.values import require_finite, require_type
 from dolfinx_feti.wall.names import Group, Groups, checked_groups, with_default_names
 
 __all__ = ["Wall", "area", "by_layer", "create_wall", "facets", "openings", "surface_measure"]

@@ -33,10 +33,10 @@ import numpy as np
 
 import dolfinx
 
-from dolfinx_feti.mechanics.values import require_positive
 from dolfinx_feti.runtime.arrays import Numbers
 from dolfinx_feti.runtime.collective import on_root, on_root_only
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.values import require_positive
 from dolfinx_feti.wall.checks import CELLS, check_cells, check_faces, check_rows
 from dolfinx_feti.wall.names import (
     Groups,

@@ -31,8 +31,8 @@ from ufl.variable import Label, Variable
 
 from dolfinx_feti.mechanics.kinematics import jacobian, right_cauchy_green
 from dolfinx_feti.mechanics.materials import volumetric
-from dolfinx_feti.mechanics.values import require_type, require_within
 from dolfinx_feti.runtime.arrays import Array, Mask
+from dolfinx_feti.runtime.values import require_type, require_within
 
 __all__ = ["CompiledEnergy", "Material", "States", "compile_material", "evaluate"]
 

@@ -23,8 +23,8 @@ import scipy.stats
 from ufl.core.expr import Expr
 
 from dolfinx_feti.errors import ConvergenceError
-from dolfinx_feti.mechanics.values import require_within
 from dolfinx_feti.runtime.arrays import Array, Mask
+from dolfinx_feti.runtime.values import require_within
 from dolfinx_feti.text_tables import Cell, format_value, text_table
 from dolfinx_feti.workshop.compiled import Material, compile_material
 from dolfinx_feti.workshop.response import DataSet, Response, respond, stresses

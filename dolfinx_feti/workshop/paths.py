@@ -30,8 +30,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from dolfinx_feti.mechanics.values import require_positive
 from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.runtime.values import require_positive
 
 __all__ = [
     "STANDARD_PATHS",

@@ -11,8 +11,8 @@ from functools import partial
 
 import numpy as np
 
-from dolfinx_feti.mechanics.values import require_positive, require_type
 from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.runtime.values import require_positive, require_type
 from dolfinx_feti.text_tables import format_number, format_value, text_table
 from dolfinx_feti.workshop.checks import Check, Law, check_law, state_text
 from dolfinx_feti.workshop.compiled import Material, evaluate

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from dolfinx_feti.mechanics.values import require_positive, require_type
 from dolfinx_feti.runtime.arrays import Array, Mask
+from dolfinx_feti.runtime.values import require_positive, require_type
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.equilibrium import cofactor, equilibrate
 from dolfinx_feti.workshop.paths import DeformationPath

@@ -19,7 +19,7 @@ import dolfinx
 
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.errors import InadmissibleStartError
-from dolfinx_feti.fem.content import Content
+from dolfinx_feti.fem.user_forms.form_content import FormContent
 from dolfinx_feti.loading.load_step import LoadStep
 from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import Steps
@@ -76,7 +76,7 @@ class FakeProblem:
             for element in (("Lagrange", 1), ("DG", 0))
         )
         self.unknown = self.u
-        self.content = Content((self.u, self.p))
+        self.content = FormContent((self.u, self.p))
         self.internal_variables = ()
         self.n_updates = 0
         self.solver = PETSc.SNES().create(COMM)

@@ -22,7 +22,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import NonlinearProblem, kinematics, loads, materials, supports
-from dolfinx_feti.fem.content import content_of
+from dolfinx_feti.fem.user_forms.form_content import content_of
 from dolfinx_feti.loading import (
     Checkpoint,
     LoadStep,

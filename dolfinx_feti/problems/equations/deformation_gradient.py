@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The deformation gradient F = I + c Grad u of a problem: its det F, and the lengths in it.
 
-c is 1 for a displacement u and Δt for a velocity (``mechanics.deformation.GradientFactor``).
+c is 1 for a displacement u and Δt for a velocity (``fem.user_forms.deformation.GradientFactor``).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import dolfinx
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.decomposition import TornSpace, cell_sizes
 from dolfinx_feti.fem.quadrature import quadrature_points
-from dolfinx_feti.mechanics.deformation import GradientFactor, VolumeRatio
+from dolfinx_feti.fem.user_forms.deformation import GradientFactor, VolumeRatio
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_all
 

@@ -120,7 +120,7 @@ def alternative_for(
 def is_discontinuous(element: AbstractFiniteElement) -> bool:
     """Return True if no two cells share a dof of this element, on any mesh.
 
-    ``fem.checks.shares_no_dofs`` looks at the dofs of a space, on its mesh.
+    ``fem.user_forms.checks.shares_no_dofs`` looks at the dofs of a space, on its mesh.
     """
     return bool(element.discontinuous) or element.basix_sobolev_space == basix.SobolevSpace.L2
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import dolfinx
 
-from dolfinx_feti.fem.checks import shares_no_dofs
+from dolfinx_feti.fem.user_forms.checks import shares_no_dofs
 from dolfinx_feti.problems.unknowns.alternatives import (
     FLUX_SPACES,
     alternative_for,

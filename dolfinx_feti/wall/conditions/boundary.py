@@ -18,8 +18,8 @@ import dolfinx
 import ufl
 
 from dolfinx_feti.mechanics.loads import TangentKind, follower_pressure, follower_pressure_tangent
-from dolfinx_feti.mechanics.values import require_positive, require_type
 from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.runtime.values import require_positive, require_type
 from dolfinx_feti.wall.conditions.condition import (
     Condition,
     Contribution,

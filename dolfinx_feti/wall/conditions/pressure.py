@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from dolfinx_feti.mechanics.values import require_finite
+from dolfinx_feti.runtime.values import require_finite
 from dolfinx_feti.wall.casekeys import PRESSURE, Key
 from dolfinx_feti.wall.conditions.condition import Condition, Contribution, Surface
 

@@ -15,7 +15,7 @@ from dolfinx_feti.mechanics.supports import (
     dashpot_energy,
     spring_energy,
 )
-from dolfinx_feti.mechanics.values import require_positive
+from dolfinx_feti.runtime.values import require_positive
 from dolfinx_feti.wall.casekeys import ChoiceKey, Key, NumberKey
 from dolfinx_feti.wall.conditions.condition import Condition, Contribution, Surface
 

@@ -39,7 +39,7 @@ from ufl import classes
 from ufl.core.expr import Expr
 from ufl.corealg.traversal import traverse_unique_terminals, unique_post_traversal
 
-from dolfinx_feti.mechanics.random_fields import RandomFields
+from dolfinx_feti.fem.user_forms.random_fields import RandomFields
 
 __all__ = ["GradientFactor", "VolumeRatio", "find_volume_ratio", "volume_ratio_of_expression"]
 

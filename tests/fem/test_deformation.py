@@ -17,7 +17,7 @@ import dolfinx
 import ufl
 
 from dolfinx_feti import ConvergenceError, NonlinearProblem
-from dolfinx_feti.mechanics.deformation import (
+from dolfinx_feti.fem.user_forms.deformation import (
     GradientFactor,
     find_volume_ratio,
     volume_ratio_of_expression,

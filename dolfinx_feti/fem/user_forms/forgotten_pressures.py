@@ -43,8 +43,8 @@ import ufl
 from ufl.algorithms import expand_derivatives
 from ufl.classes import CoefficientDerivative
 
-from dolfinx_feti.fem.checks import shares_no_dofs
 from dolfinx_feti.fem.compiler import Compiler
+from dolfinx_feti.fem.user_forms.checks import shares_no_dofs
 from dolfinx_feti.runtime.collective import on_all, warn
 
 #: A curvature along the constant 1 counts as negative if it exceeds this share of the curvature

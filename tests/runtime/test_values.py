@@ -23,8 +23,8 @@ from dolfinx_feti import loads, materials, supports, workshop
 from dolfinx_feti.loading import Steps, TimeSteps, follow_load
 from dolfinx_feti.mechanics import memory
 from dolfinx_feti.mechanics.residual_stress import opening_deformation, residual_stretch
-from dolfinx_feti.mechanics.values import require_number, require_sequence, require_type
 from dolfinx_feti.output import FieldWriter
+from dolfinx_feti.runtime.values import require_number, require_sequence, require_type
 from dolfinx_feti.wall import Case, Clamp, Dashpot, Filling, LayerMaterial, Pressure, Spring
 from dolfinx_feti.wall.opening import Opening
 

@@ -22,7 +22,7 @@ FIRST_COUNT = 10**9
 
 
 @dataclass(frozen=True)
-class Content:
+class FormContent:
     """Functions and constants in the forms of a problem.
 
     Attributes:
@@ -53,7 +53,7 @@ class Content:
 
 def content_of(
     unknowns: Sequence[dolfinx.fem.Function], forms: Sequence[ufl.Form | None]
-) -> Content:
+) -> FormContent:
     """Return the content of forms.
 
     Args:
@@ -63,4 +63,4 @@ def content_of(
     nonzero = tuple(form for form in forms if form is not None and not form.empty())
     coefficients = dict.fromkeys(f for form in nonzero for f in form.coefficients())
     constants = sorted({c for form in nonzero for c in form.constants()}, key=lambda c: c.count())
-    return Content(tuple(unknowns), tuple(coefficients), tuple(constants), nonzero)
+    return FormContent(tuple(unknowns), tuple(coefficients), tuple(constants), nonzero)
