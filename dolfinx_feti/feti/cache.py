@@ -140,12 +140,16 @@ class SolverCache:
     def record(self, info: SolveInfo) -> None:
         """Store the Ritz vectors of a solve, and the rate of convergence of a first solve.
 
+        Outside Newton's method Ritz vectors are not stored: each matrix is deflated by soft fields
+        of its own.
+
         The rate is the number of iterations per digit, as in ``Tolerances.iteration_limit``. The
         number of digits is −log₁₀ of the relative residual, or of its tolerance if that is larger:
         the residual may be far below its tolerance, because with a penalty η ends the solve.
         """
         accuracy = info.accuracy
-        self._ritz_vectors = info.ritz_vectors
+        if self._newton:
+            self._ritz_vectors = info.ritz_vectors
         is_first = np.isnan(self._rate)
         if not is_first or info.reason <= 0 or info.iterations == 0:
             return

@@ -11,8 +11,8 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from cases import case, every_interior, every_type
-from collective import COMM, agree
-from hand_torn import own_subdomains, random_values, solve, solved
+from collective import COMM, agree, equal
+from hand_torn import own_subdomains, random_values, softened, solve, solved
 
 from dolfinx_feti import FETI
 from dolfinx_feti.errors import SetUpError
@@ -119,6 +119,25 @@ def test_ritz_vectors_serve_later_matrices(interior, lag, primal):
     if lag:
         agree(min(counts[3][2:4]) > 0, counts)
         agree("Ritz vectors" not in format_report(context.report()))
+
+
+def test_linear_solves_leave_no_vectors(torn_grid, create_ksp):
+    """Each matrix outside Newton's method is deflated by its own soft fields."""
+    options = {"feti_formulation": "primal", "feti_coarse_modes": 0, "ksp_rtol": 1e-11}
+    problem = torn_grid(**case((4, 3), (3, 3), 2), change=softened(0.0004))
+
+    def deflation_vectors(ksp):
+        check(problem, ksp)
+        return ksp.getPythonContext().formulation.deflation.W
+
+    ksp = create_ksp(problem.A, FETI(), **options)
+    of_first_matrix = deflation_vectors(ksp)
+    scale(problem, [1.0 + 0.1 * (i % 3) for i in range(len(problem.K))])
+    of_later_matrix = deflation_vectors(ksp)
+    expected = deflation_vectors(create_ksp(problem.A, FETI(), **options))
+    agree(COMM.allreduce(of_first_matrix.size) > 0, of_first_matrix.shape)
+    agree(COMM.allreduce(expected.size) > 0, expected.shape)
+    equal(of_later_matrix, expected, 1e-9)
 
 
 @pytest.mark.parametrize(
