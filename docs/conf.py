@@ -55,6 +55,7 @@ if os.environ.get("DOLFINX_FETI_LINKS"):
         "scipy": ("https://docs.scipy.org/doc/scipy", None),
     }
 
+add_module_names = False  # a page names the package that a name is imported from
 autoclass_content = "both"
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"

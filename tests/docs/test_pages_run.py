@@ -30,19 +30,21 @@ RUN_ELSEWHERE = {
 #: Pages whose programs import clients of the package, which the environments of tests lack.
 NEED_OTHER_PACKAGES = {"ambit", "pulse"}
 
+#: Paths of the pages below ``docs``, without ending.
 PAGES = sorted(
-    page.stem
-    for page in (ROOT / "docs").glob("*.md")
-    if programs(page=f"docs/{page.name}")
-    and page.stem not in RUN_ELSEWHERE
-    and page.stem not in NEED_OTHER_PACKAGES
+    name
+    for pattern in ("*.md", "api/*.md")
+    for page in (ROOT / "docs").glob(pattern)
+    if (name := page.relative_to(ROOT / "docs").with_suffix("").as_posix())
+    not in RUN_ELSEWHERE.keys() | NEED_OTHER_PACKAGES
+    and programs(page=f"docs/{name}.md")
 )
 
 #: Packages that some blocks import and that an environment may lack.
 OPTIONAL = ("gmsh", "matplotlib", "scifem")
 
 #: Packages without which no block of a page runs.
-REQUIRED = {"pictures": "pyvista"}
+REQUIRED = {"pictures": "pyvista", "api/output": "pyvista"}
 
 
 def missing_package(block: str) -> str | None:
