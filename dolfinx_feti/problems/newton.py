@@ -16,14 +16,15 @@ from __future__ import annotations
 
 import time
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from petsc4py import PETSc
 
 import numpy as np
 
 from dolfinx_feti.feti.converged_reason import MAX_ROUNDING_SHARE
-from dolfinx_feti.problems.equations.system import System
+from dolfinx_feti.feti.solve_settings import ErrorAllowance
+from dolfinx_feti.problems.equations.system import Residual, System
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.hooks import Hooks
 from dolfinx_feti.problems.iteration.convergence import ConvergenceTest, Verdict
@@ -43,7 +44,7 @@ from dolfinx_feti.problems.iteration.line_search import find_step_length
 from dolfinx_feti.problems.iteration.overshoots import Overshoots
 from dolfinx_feti.problems.iteration.rounding import diagonal_rounding, residual_rounding
 from dolfinx_feti.problems.iteration.shifts import ShiftedDirections
-from dolfinx_feti.problems.iteration.state_error import StateError
+from dolfinx_feti.problems.iteration.state_error import ErrorEstimate, StateError
 from dolfinx_feti.problems.iteration.step_test import StepTest
 from dolfinx_feti.problems.iteration.support import KnownSupport
 from dolfinx_feti.problems.iteration.tangent_check import Finding, TangentCheck
@@ -137,6 +138,23 @@ class Newton:
         x.array[:] = self._system.state.values().u
 
 
+@dataclass(frozen=True, slots=True)
+class StepPlan:
+    """How the next step is taken.
+
+    Attributes:
+        target: ‖r‖ that the steps aim at.
+        floor: ‖r‖ that is rounding.
+        reuses_tangent: Whether the matrix holds the tangent of the step before.
+        linear_error: Estimated error that the linear solves may leave of ΔU.
+    """
+
+    target: float
+    floor: float
+    reuses_tangent: bool
+    linear_error: ErrorAllowance
+
+
 class NewtonSolve:
     """One solve.
 
@@ -167,24 +185,22 @@ class NewtonSolve:
         """
         self.history: list[NewtonStep] = []
         self._stopwatch = Stopwatch()
-        first = evaluate(system, system.residual())
-        self.last_residual: Array = first.residual.of_u
         self._system = system
         self._snes = snes
         self._ksp: PETSc.KSP = snes.getKSP()
         self._start = start
-        self._first = first
         self._hooks = hooks
         self._tangent_check = tangent_check
         self._last_change: Array | None = None  # of u, (owned,)
-        self._convergence = ConvergenceTest(snes, start, first)
+        self.last_residual: Array = np.zeros(system.owned)
+        self._first = self._iterate_at(system.residual())
+        self._convergence = ConvergenceTest(snes, start, self._first)
         self._state_error = StateError(system, snes, start)
-        self._early_end = EarlyEnd.of(start, first)
+        self._early_end = EarlyEnd.of(start, self._first)
         self._shifts = ShiftedDirections(
-            system, self._ksp, start, first, early_end=self._early_end, support=support
+            system, self._ksp, start, self._first, early_end=self._early_end, support=support
         )
-        self._potential = np.nan  # Π of the present iterate, if it was evaluated
-        self._overshoots = Overshoots(first.norm)
+        self._overshoots = Overshoots(self._first.norm)
 
     def run(self) -> Outcome:
         """Iterate until the residual and the estimated error are small. Collective.
@@ -206,31 +222,29 @@ class NewtonSolve:
         iterate = self._first
         self._require_admissible_start()
         while True:
-            verdict = self._judge(iterate)
-            needs_step = self._needs_step(iterate, verdict)
-            if verdict.reason != Reason.ITERATING and not needs_step:
-                return self._end(verdict)
-            updated = self._call_update(iterate)
-            if updated is not None:
-                iterate = updated
-                needs_step = False  # η was estimated for the equations before the update
-            target = self._target(iterate, needs_step=needs_step)
+            verdict = self._publish_and_test(iterate)  # is ‖r‖ small?
+            error = self._measure_error(iterate, verdict)  # is the error of U small?
+            if verdict.ends and not error.needs_step:
+                return self._end(verdict, error)
+            self._require_steps_left()
+            if self._hooks.has_update(self._snes):
+                iterate = self._call_update()
+                error = self._state_error.unknown()  # η was that of the equations before the update
+            target = self._target(iterate, error)
             reuses_tangent = leads_to_end(iterate, self.history, target)
             if not reuses_tangent:
                 self._linearise(iterate)  # K'(U^k)
             floor = residual_rounding(self._system)
-            if self._is_rounding(iterate, floor, needs_step=needs_step):
-                return self._end_at_rounding(iterate)
-            if not reuses_tangent:
-                self._tangent_check.compare_if_needed(iterate, self.history)
-            self._tangent_check.require_right_sign(self.history)
+            if self._is_rounding(iterate, error, floor):
+                return self._end_at_rounding(iterate, error)
+            self._check_tangent(iterate, is_new=not reuses_tangent)
+            linear_error = self._state_error.of_linear_solve(error)
             try:
-                with self._linear_tolerances(target, floor):
-                    iterate = self._step(iterate, floor, reuses_tangent=reuses_tangent)
+                iterate = self._step(iterate, StepPlan(target, floor, reuses_tangent, linear_error))
             except NewtonFailure:
-                if not (needs_step and self._state_error.is_acceptable_as_rounding):
-                    raise
-                return self._end_with_error()
+                if error.needs_step and error.is_acceptable_as_rounding:
+                    return self._end_with_error(error)
+                raise
             self._early_end.check(self.history)
 
     # -- the parts of an iteration; all collective -------------------------------------------------
@@ -244,13 +258,19 @@ class NewtonSolve:
         if self._system.smallest_volume_ratio() <= 0.0:
             raise NewtonFailure(INVERTED_START)
 
-    def _judge(self, iterate: Iterate) -> Verdict:
-        """Report ‖r‖ to the SNES and its monitors, and test whether the solve ends.
+    def _iterate_at(self, residual: Residual, potential: float = np.nan) -> Iterate:
+        """Return the iterate at the present state, whose residual is the last one from now on."""
+        self.last_residual = residual.of_u
+        return evaluate(self._system, residual, potential)
 
-        The test is the script's own, if it has set one, or else the package's.
+    def _publish_and_test(self, iterate: Iterate) -> Verdict:
+        """Show an iterate to the SNES and its monitors; return whether its ‖r‖ ends the solve.
+
+        The test is the script's own, if it has set one, or else the package's. Monitors are called
+        after it.
 
         Raises:
-            NewtonFailure: ‖r‖ is NaN or infinite, or there were too many steps.
+            NewtonFailure: ‖r‖ is NaN or infinite.
         """
         snes = self._snes
         its = len(self.history)
@@ -271,30 +291,19 @@ class NewtonSolve:
         on_all(monitor, self._system.comm)
         if not np.isfinite(iterate.norm):
             raise NewtonFailure(NOT_A_NUMBER)
-        if verdict.reason == Reason.ITERATING:
-            self._require_steps_left()
         return verdict
 
-    def _needs_step(self, iterate: Iterate, verdict: Verdict) -> bool:
-        """Return True if the estimated error requires a step although ‖r‖ is small.
+    def _measure_error(self, iterate: Iterate, verdict: Verdict) -> ErrorEstimate:
+        """Return the estimated error of an iterate, and complete the record of the step to it.
 
-        The error is that of the state after the last step, whose record is completed.
-
-        Raises:
-            NewtonFailure: A step is required, and there were too many.
+        It is unknown if a script has a test of its own.
         """
         if self._hooks.has_test(self._snes):
-            return False
-        error = self._state_error
-        error.measure(iterate, verdict, self.history)
+            return self._state_error.unknown()
+        error = self._state_error.measure(iterate, verdict, self.history)
         if self.history:
-            self.history[-1] = replace(self.history[-1], error=error.estimate)
-        if error.needs_step:
-            self._require_steps_left()
-            return True
-        if error.is_too_large:
-            error.log()
-        return False
+            self.history[-1] = replace(self.history[-1], error=error.eta)
+        return error
 
     def _require_steps_left(self) -> None:
         """Raise an error if the SNES allows no further step.
@@ -306,20 +315,16 @@ class NewtonSolve:
         if len(self.history) >= max_it:
             raise NewtonFailure(TOO_MANY_STEPS, max_it)
 
-    def _call_update(self, iterate: Iterate) -> Iterate | None:
-        """Call a script's update; return the iterate after it, None if there is no update."""
-        if not self._hooks.has_update(self._snes):
-            return None
+    def _call_update(self) -> Iterate:
+        """Call a script's update, which may change u or a coefficient; return the iterate then."""
         self._hooks.call_update(self._snes)
-        self._potential = np.nan  # the update may have changed u or a coefficient
-        return self._evaluate_present()
+        return self._iterate_at(self._system.residual())
 
-    def _target(self, iterate: Iterate, *, needs_step: bool) -> float:
+    def _target(self, iterate: Iterate, error: ErrorEstimate) -> float:
         """Return the ‖r‖ that the next steps aim at."""
         target = self._convergence.target(iterate)
-        if needs_step:
-            # NaN if the error is not known
-            target = float(np.fmin(target, self._state_error.target(iterate)))
+        if error.needs_step:
+            target = float(np.fmin(target, error.target(iterate)))  # ignores NaN
         return target
 
     def _linearise(self, iterate: Iterate) -> None:
@@ -328,7 +333,7 @@ class NewtonSolve:
             with event("FETITangent"):
                 self._system.linearise(iterate.residual)
 
-    def _is_rounding(self, iterate: Iterate, floor: float, *, needs_step: bool) -> bool:
+    def _is_rounding(self, iterate: Iterate, error: ErrorEstimate, floor: float) -> bool:
         """Return True if r is rounding alone, so that the solve ends.
 
         It is False with a script's own test, while a constraint is violated, and while a step may
@@ -337,102 +342,108 @@ class NewtonSolve:
         """
         if iterate.violates_constraints or self._hooks.has_test(self._snes):
             return False
-        if needs_step and self._state_error.is_too_large:
+        if error.needs_step and error.is_too_large:
             return False
         return iterate.norm <= (floor if self.history else diagonal_rounding(self._system))
 
-    def _linear_tolerances(self, target: float, floor: float) -> AbstractContextManager[None]:
-        """Return a context in which linear solves are as accurate as the step needs."""
-        return newton_tolerances(
-            self._ksp,
-            norm=RESIDUAL_SHARE * target,
-            error=self._state_error.of_linear_solve(),
-            load_rounding=floor,
-        )
+    def _check_tangent(self, iterate: Iterate, *, is_new: bool) -> None:
+        """Compare a new tangent with the derivative, if the last steps call for it.
 
-    def _step(self, iterate: Iterate, floor: float, *, reuses_tangent: bool) -> Iterate:
+        Raises:
+            NewtonFailure: J was found to have the wrong sign.
+        """
+        if is_new:
+            self._tangent_check.compare_if_needed(iterate, self.history)
+        self._tangent_check.require_right_sign(self.history)
+
+    def _step(self, iterate: Iterate, plan: StepPlan) -> Iterate:
         """Compute the next iterate, with a larger shift if no step length is admissible.
 
-        There are two exceptions, in which the same iterate is returned. If r is rounding, the next
+        The state, and with it the iterate, stays the same in two cases. If r is rounding, the next
         iteration ends there. If the tangent was reused, the next iteration assembles a new one:
-        ``tangent_reuse`` requires that after a recorded step of length zero.
+        only a whole step is followed by one with its tangent (``tangent_reuse``).
 
         Args:
             iterate: Where the step begins.
-            floor: ‖r‖ that is rounding.
-            reuses_tangent: Whether the matrix holds the tangent of the step before.
+            plan: How it is taken.
 
         Raises:
             NewtonFailure: No direction has a step length.
         """
         origin = iterate
-        if reuses_tangent:
+        if plan.reuses_tangent:
             residual = self._system.residual_of_last_tangent(iterate.residual)
             origin = replace(iterate, residual=residual)
         directions = self._shifts.directions(origin, is_first=not self.history)
         while True:
             seconds_assembly = self._stopwatch.lap()  # since the last linear solve
-            direction = next(directions)
+            with self._linear_tolerances(plan):
+                direction = next(directions)
             seconds_linear = self._stopwatch.lap()
             trial = self._search(origin, direction)
             self._record(
                 direction,
                 trial,
+                plan,
                 residual=iterate.norm,
-                floor=floor,
                 seconds_assembly=seconds_assembly,
                 seconds_linear=seconds_linear,
-                tangent_lag=self.history[-1].tangent_lag + 1 if reuses_tangent else 0,
             )
             if trial.alpha > 0.0:
                 return self._accept(trial)
-            if iterate.norm <= floor or reuses_tangent:
+            if iterate.norm <= plan.floor or plan.reuses_tangent:
                 return iterate
+            origin = replace(origin, potential=trial.potential)
+
+    def _linear_tolerances(self, plan: StepPlan) -> AbstractContextManager[None]:
+        """Return a context in which linear solves are as accurate as the step needs."""
+        return newton_tolerances(
+            self._ksp,
+            norm=RESIDUAL_SHARE * plan.target,
+            error=plan.linear_error,
+            load_rounding=plan.floor,
+        )
 
     def _search(self, origin: Iterate, direction: Direction) -> Trial:
-        """Move the state along a direction; α = 0 if no step length is admissible."""
+        """Move the state along a direction.
+
+        Returns:
+            The trial where the state is; at α = 0, with Π(U), if no step length is admissible.
+        """
         allows_overshoot = self._overshoots.are_allowed(self._system, direction)
         line = Line(self._system, origin, direction, allows_overshoot=allows_overshoot)
-        test = StepTest(self._system, line, self._potential)
+        test = StepTest(self._system, line)
         trial = find_step_length(line, test)
         self._overshoots.count(trial)
-        self._potential = trial.potential if trial.alpha > 0.0 else test.potential
-        return trial
+        if trial.alpha > 0.0:
+            return trial
+        return replace(trial, potential=test.potential)
 
     def _accept(self, trial: Trial) -> Iterate:
         """Return the iterate at a trial, where the state is."""
-        self.last_residual = trial.residual.of_u
-        reached = evaluate(self._system, trial.residual)
+        reached = self._iterate_at(trial.residual, trial.potential)
         self._overshoots.update(reached.norm)
         return reached
-
-    def _evaluate_present(self) -> Iterate:
-        """Assemble the residual at the present state, and return the iterate there."""
-        residual = self._system.residual()
-        self.last_residual = residual.of_u
-        return evaluate(self._system, residual)
 
     def _record(
         self,
         direction: Direction,
         trial: Trial,
+        plan: StepPlan,
         *,
         residual: float,
-        floor: float,
         seconds_assembly: float,
         seconds_linear: float,
-        tangent_lag: int,
     ) -> None:
         """Append the record of a step, or of an attempt without a step length (α = 0).
 
         Args:
             direction: Its direction.
             trial: Its last trial.
+            plan: How it was taken.
             residual: ‖r‖ before it.
-            floor: ‖r‖ that is rounding.
             seconds_assembly: Time since the last linear solve: assembly and line search.
             seconds_linear: Time for the linear solves.
-            tangent_lag: Number of steps that the tangent had served before.
         """
         step = NewtonStep.after(
             self._ksp.getPythonContext(),
@@ -443,8 +454,8 @@ class NewtonSolve:
             shift=direction.shift,
             seconds_assembly=seconds_assembly,
             seconds_linear=seconds_linear,
-            floor=floor,
-            tangent_lag=tangent_lag,
+            floor=plan.floor,
+            tangent_lag=self.history[-1].tangent_lag + 1 if plan.reuses_tangent else 0,
         )
         self.history.append(step)
         self._last_change = trial.alpha * direction.du
@@ -452,7 +463,7 @@ class NewtonSolve:
 
     # -- how a solve ends --------------------------------------------------------------------------
 
-    def _end(self, verdict: Verdict) -> Outcome:
+    def _end(self, verdict: Verdict, error: ErrorEstimate) -> Outcome:
         """Return the outcome of a verdict that ends the solve.
 
         ‖r‖ is small. If the estimated error is still too large, rounding limits it. The reason is
@@ -461,22 +472,24 @@ class NewtonSolve:
         reason = verdict.reason
         if reason < 0:
             return Outcome(reason, TEST_FAILED.format(reason))
-        if self._state_error.is_too_large:
+        if error.is_too_large:
+            error.warn_if_visible(self._system.comm)
             reason = Reason.CONVERGED_FNORM_ABS
         return Outcome(reason, is_within_tolerances=verdict.is_within_tolerances)
 
-    def _end_at_rounding(self, iterate: Iterate) -> Outcome:
+    def _end_at_rounding(self, iterate: Iterate, error: ErrorEstimate) -> Outcome:
         """Converge, and log if rounding leaves the free dofs visibly out of balance."""
         system = self._system
+        error.warn_if_visible(system.comm)
         force = norm(system.comm, system.conditions.free(iterate.residual.force))
         load = self._convergence.applied_load(iterate)
         if self.history and force > MAX_ROUNDING_SHARE * load:
             warn(_ROUNDING_WARNING.format(force, load), system.comm)
         return Outcome(Reason.CONVERGED_FNORM_ABS, is_within_tolerances=True)
 
-    def _end_with_error(self) -> Outcome:
+    def _end_with_error(self, error: ErrorEstimate) -> Outcome:
         """Converge: ‖r‖ is small, and no step lowers the estimated error."""
-        self._state_error.log()
+        error.warn_if_visible(self._system.comm)
         return Outcome(Reason.CONVERGED_FNORM_ABS, is_within_tolerances=True)
 
     def _explain(self, failure: NewtonFailure) -> Outcome:

@@ -40,6 +40,11 @@ class Verdict:
     reason: int  # PETSc's; ITERATING to go on
     is_within_tolerances: bool  # the SNES's own; an intermediate solve ends before
 
+    @property
+    def ends(self) -> bool:
+        """Whether the test ends the solve."""
+        return self.reason != Reason.ITERATING
+
 
 class ConvergenceTest:
     """The package's test of ‖r‖, with the SNES's tolerances."""

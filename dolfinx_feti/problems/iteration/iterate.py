@@ -41,15 +41,17 @@ class Iterate:
     norm: float  # ‖r‖ over the free dofs
     reaction_norm: float  # the largest norm of the forces of supports, of scalars, of a contact
     violates_constraints: bool  # a Dirichlet value or a scalar equation is not satisfied
+    potential: float = np.nan  # Π(U^k); NaN if it was not evaluated
 
 
-def evaluate(system: System, residual: Residual) -> Iterate:
-    """Return the iterate at the present state, from its residual. Collective."""
+def evaluate(system: System, residual: Residual, potential: float = np.nan) -> Iterate:
+    """Return the iterate at the present state, from its residual and potential. Collective."""
     return Iterate(
         residual,
         norm(system.comm, residual.condensed),
         _reaction_norm(system, residual),
         _violates_constraints(system, residual),
+        potential,
     )
 
 

@@ -14,7 +14,9 @@ still wrong; η shows that error. Scalars s are included, each relative to its o
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
+from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
@@ -55,13 +57,56 @@ _ROUNDED_ERROR = (
 )
 
 
-class StateError:
-    """The estimated error of the iterates of one solve.
+@dataclass(frozen=True, slots=True)
+class ErrorEstimate:
+    """The estimated error of one iterate, and what follows from it.
 
     Attributes:
-        rtol: Tolerance of η.
-        estimate: η of the present iterate; nan if not measured.
+        rtol: Its tolerance.
+        eta: η; NaN if it was not measured.
+        eta_before: η of the iterate before; NaN if that was not measured.
+        lacks_scalar_solve: Whether η could not be measured because no linear solve with scalars
+            came before.
     """
+
+    rtol: float
+    eta: float = np.nan
+    eta_before: float = np.nan
+    lacks_scalar_solve: bool = False
+
+    @property
+    def is_too_large(self) -> bool:
+        """Whether η is known, and above its tolerance."""
+        return bool(self.eta > self.rtol)
+
+    @property
+    def is_acceptable_as_rounding(self) -> bool:
+        """Whether η is known, and no more than rounding may leave."""
+        return bool(self.eta <= MAX_ROUNDING_SHARE)
+
+    @property
+    def needs_step(self) -> bool:
+        """Whether a step has to follow although ‖r‖ would let the solve end.
+
+        That is so if η is too large, unless the last step has hardly lowered it: rounding leaves
+        the rest. It is also so if η is unknown because no linear solve with scalars came before.
+        """
+        if self.lacks_scalar_solve:
+            return True
+        return self.is_too_large and not self.eta > GAIN * self.eta_before
+
+    def target(self, iterate: Iterate) -> float:
+        """Return the ‖r‖ at which η is expected to meet its tolerance; NaN if η is unknown."""
+        return iterate.norm * self.rtol / self.eta
+
+    def warn_if_visible(self, comm: MPI.Comm) -> None:
+        """Log an error above its tolerance, if more than tiny rounding leaves it. Collective."""
+        if self.is_too_large and self.eta > LOGGED_ROUNDING_SHARE:
+            warn(_ROUNDED_ERROR.format(self.eta, self.rtol), comm)
+
+
+class StateError:
+    """Measures the estimated error of the iterates of one solve."""
 
     def __init__(self, system: System, snes: PETSc.SNES, start: Start) -> None:
         """Store the state that the solve begins with, U⁰.
@@ -71,38 +116,20 @@ class StateError:
             snes: The SNES, with a FETI KSP; its relative tolerance is that of η.
             start: How the solve begins.
         """
-        self.rtol = relative_tolerance(snes)
-        self.estimate = np.nan
+        self._rtol = relative_tolerance(snes)
         self._system = system
         self._ksp: PETSc.KSP = snes.getKSP()
         self._origin = system.state.values()
         self._has_first_tangent = start.tangent is not None
-        self._estimate_before = np.nan  # of the iterate before
-        #: Whether η could not be measured because no linear solve with scalars came before.
-        self._lacks_scalar_solve = False
+        self._last_eta = np.nan  # of the last iterate
 
-    @property
-    def is_too_large(self) -> bool:
-        """Whether η is known, and above its tolerance."""
-        return bool(self.estimate > self.rtol)
+    def unknown(self) -> ErrorEstimate:
+        """Return the estimate of an iterate that is not measured."""
+        return ErrorEstimate(self._rtol)
 
-    @property
-    def is_acceptable_as_rounding(self) -> bool:
-        """Whether η, above its tolerance, is no more than rounding may leave."""
-        return bool(self.estimate <= MAX_ROUNDING_SHARE)
-
-    @property
-    def needs_step(self) -> bool:
-        """Whether a step has to follow although ‖r‖ would let the solve end.
-
-        That is so if η is too large, unless the last step has hardly lowered it: rounding leaves
-        the rest. It is also so if η is unknown because no linear solve with scalars came before.
-        """
-        if self._lacks_scalar_solve:
-            return True
-        return self.is_too_large and not self.estimate > GAIN * self._estimate_before
-
-    def measure(self, iterate: Iterate, verdict: Verdict, history: Sequence[NewtonStep]) -> None:
+    def measure(
+        self, iterate: Iterate, verdict: Verdict, history: Sequence[NewtonStep]
+    ) -> ErrorEstimate:
         """Measure η if ‖r‖ is within the relative tolerance, or near rounding. Collective.
 
         It is not measured if an absolute tolerance ends the solve. If the matrix holds no tangent,
@@ -113,35 +140,34 @@ class StateError:
             verdict: Whether its ‖r‖ ends the solve.
             history: Steps before it.
         """
-        self._estimate_before = self.estimate
-        self.estimate = np.nan
-        self._lacks_scalar_solve = False
+        eta_before = self._last_eta
+        self._last_eta = np.nan
         ends = verdict.reason == Reason.CONVERGED_FNORM_RELATIVE and verdict.is_within_tolerances
-        is_undecided = verdict.reason == Reason.ITERATING and _is_near_floor(iterate, history)
+        is_undecided = not verdict.ends and _is_near_floor(iterate, history)
         if iterate.norm == 0.0 or not (ends or is_undecided):
-            return
+            return self.unknown()
         if self._lacks_tangent(history):
             self._system.linearise(iterate.residual)
-        self.estimate = self._measured(iterate)
-        is_unknown = bool(np.isnan(self.estimate))
+        self._last_eta = self._measured(iterate)
+        is_unknown = bool(np.isnan(self._last_eta))
         has_scalars = self._system.scalars.size > 0
-        self._lacks_scalar_solve = ends and is_unknown and not history and has_scalars
+        return ErrorEstimate(
+            self._rtol,
+            self._last_eta,
+            eta_before,
+            lacks_scalar_solve=ends and is_unknown and not history and has_scalars,
+        )
 
-    def target(self, iterate: Iterate) -> float:
-        """Return the ‖r‖ at which η is expected to meet its tolerance."""
-        return iterate.norm * self.rtol / self.estimate
+    def of_linear_solve(self, estimate: ErrorEstimate) -> ErrorAllowance:
+        """Return the estimated error that the next linear solve may leave of ΔU.
 
-    def log(self) -> None:
-        """Log an error above its tolerance, if more than tiny rounding leaves it. Collective."""
-        if self.estimate > LOGGED_ROUNDING_SHARE:
-            warn(_ROUNDED_ERROR.format(self.estimate, self.rtol), self._system.comm)
-
-    def of_linear_solve(self) -> ErrorAllowance:
-        """Return the estimated error that the next linear solve may leave of ΔU."""
+        Args:
+            estimate: The error of the iterate where the step begins.
+        """
         share = LINEAR_ERROR
-        if self.is_too_large:
-            share = min(LINEAR_ERROR, ERROR_SHARE * self.rtol / self.estimate)
-        return ErrorAllowance(share, ERROR_SHARE * self.rtol * self._system.state.values().u)
+        if estimate.is_too_large:
+            share = min(LINEAR_ERROR, ERROR_SHARE * self._rtol / estimate.eta)
+        return ErrorAllowance(share, ERROR_SHARE * self._rtol * self._system.state.values().u)
 
     def _lacks_tangent(self, history: Sequence[NewtonStep]) -> bool:
         """Return True if the matrix holds no tangent without a shift.

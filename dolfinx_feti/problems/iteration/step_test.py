@@ -46,21 +46,21 @@ class StepTest:
         potential: Π(U); nan if it was not evaluated.
     """
 
-    def __init__(self, system: System, line: Line, known_potential: float = np.nan) -> None:
+    def __init__(self, system: System, line: Line) -> None:
         """Evaluate Π(U) if there is a potential and ΔU was required to descend. Collective.
 
         Args:
             system: The equations, at U.
-            line: The line.
-            known_potential: Π(U) if the search before has evaluated it, else nan.
+            line: The line; its iterate may know Π(U).
         """
         self._system = system
         self._line = line
         self._is_shifted = line.direction.is_shifted
         self.potential = np.nan
         if system.has_potential and line.direction.is_descent:
-            is_evaluated = not np.isnan(known_potential)
-            self.potential = known_potential if is_evaluated else system.potential()
+            self.potential = line.iterate.potential
+            if np.isnan(self.potential):
+                self.potential = system.potential()
         is_known = not np.isnan(self.potential)
         self._has_potential = is_known and not line.iterate.violates_constraints
         is_rounding = abs(line.slope) <= POTENTIAL_ROUNDING * abs(self.potential)
