@@ -11,13 +11,13 @@ problem has its couplings in ``scalars=``.
 - Kinds: ``constraints``, ``arc_length``, ``cavity``, ``windkessel``; ``case_cavities`` has those
   of a case file, and ``couplings`` checks those of a problem.
 - A step of Newton's method: ``system`` assembles the ``border`` by ``border_forms``, which derive
-  it by ``derivatives``, and solves by ``bordered``: a ``bordered_system`` by block elimination,
-  with solves of a ``matrix_solver``. ``springs`` support a body that is free to move;
-  ``independence`` is checked before the first step.
+  it by ``derivatives``, and solves by ``bordered``: a ``bordered_system`` by block elimination with
+  the ``columns`` X, and ``refinement``, all by solves of a ``matrix_solver``. ``springs`` support a
+  body that is free to move; ``independence`` is checked before the first step.
 
 In the order of the data: equations, derivatives, real_spaces, border, border_forms, independence,
-springs, matrix_solver, bordered_system, bordered, system, constraints, arc_length, cavity,
-windkessel, couplings, case_cavities.
+springs, matrix_solver, bordered_system, columns, refinement, bordered, system, constraints,
+arc_length, cavity, windkessel, couplings, case_cavities.
 """
 
 from dolfinx_feti.scalars.arc_length import ArcLength

@@ -50,6 +50,11 @@ class Border:
     D: Array
     springs: int = 0
 
+    @property
+    def count(self) -> int:
+        """Number of the other scalars, m − springs."""
+        return len(self.D) - self.springs
+
     @classmethod
     def zero(cls, N: int, m: int) -> Border:
         """Return a border of zeros for N dofs and m scalars."""
@@ -61,7 +66,7 @@ class Border:
 
     def without_springs(self, s: Array) -> Array:
         """Return the values s, (m,), of the other scalars, (m − springs,)."""
-        return s[: len(s) - self.springs]
+        return s[: self.count]
 
 
 class BlockElimination:
@@ -74,6 +79,7 @@ class BlockElimination:
     S = D − Cᵀ X is stored in its singular value decomposition, on all processes.
 
     Attributes:
+        border: B, C and D.
         X: A⁻¹ B, (N, m).
         is_singular: Whether S is singular, and the bordered matrix with it.
     """
@@ -86,7 +92,7 @@ class BlockElimination:
             X: A⁻¹ B, (N, m).
             comm: Communicator.
         """
-        self._border = border
+        self.border = border
         self.X = X
         self._comm = comm
         S = border.D - total_of(border.C.T @ X, comm)  # S = D − Cᵀ X
@@ -121,7 +127,7 @@ class BlockElimination:
 
     def solve_for_scalars(self, y: Array, d: Array) -> Array:
         """Return s of :meth:`solve` alone, (m,). Collective."""
-        return self._solve_complement(d - total_of(self._border.C.T @ y, self._comm))
+        return self._solve_complement(d - total_of(self.border.C.T @ y, self._comm))
 
     def error_of_scalars(self, ds: Array, s: Array, x: Array) -> float:
         r"""Return the estimated error η of the scalars for a correction of them. Collective.
@@ -140,10 +146,8 @@ class BlockElimination:
         """
         if not len(ds):
             return 0.0
-        row_sizes = np.sqrt(
-            total_of((self._border.C**2).T @ x**2, self._comm)
-        )  # (Σ_j C_jl² x_j²)^½
-        size = np.abs(s) + self._border.without_springs(self._absolute_inverse() @ row_sizes)
+        row_sizes = np.sqrt(total_of((self.border.C**2).T @ x**2, self._comm))  # (Σ_j C_jl² x_j²)^½
+        size = np.abs(s) + self.border.without_springs(self._absolute_inverse() @ row_sizes)
         ratio = np.full(len(ds), np.inf)
         np.divide(np.abs(ds), size, out=ratio, where=size > 0.0)
         ratio[ds == 0.0] = 0.0

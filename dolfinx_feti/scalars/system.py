@@ -163,7 +163,7 @@ class ScalarSystem:
             s: Largest size of s_k among the iterates, (m,).
             u: Largest size of u_j among the iterates, (N,).
         """
-        return self._solver.error_of_scalars(ds, s, u, self._comm)
+        return self._solver.error_of_scalars(ds, s, u)
 
     def scales(self, u: Array, h: Array | float) -> Array:
         r"""Return the scales of the equations, (m,). Collective.

@@ -53,8 +53,9 @@ def bordered(problem, ksp, b, B, C, D, d, solver=None):
 
 def check(problem, ksp, system, tolerance=1e-6):
     x, s, solver = bordered(problem, ksp, *system)
-    message = ksp.getPythonContext().message
-    agree(ksp.getConvergedReason() > 0, message)
+    context = ksp.getPythonContext()
+    agree(ksp.getConvergedReason() > 0, context.message)
+    small(abs(context.rtol / RTOL - 1.0), 1e-9)
     x_0, s_0 = dense_solve(problem, *system)
     equal(x, x_0, tolerance)
     small(np.abs(s / s_0 - 1.0).max(), tolerance)
@@ -180,6 +181,28 @@ def test_a_matrix_that_has_not_changed_is_set_up_once(torn_grid, create_ksp):
     problem.local.scale(2.0)
     bordered(problem, ksp, rng.standard_normal(n), *loads, solver)
     agree(ksp.getPythonContext().formulation is not made[0])
+
+
+def test_failed_solve_with_new_springs_leaves_no_correction(torn_grid, create_ksp):
+    """The elimination before it belongs to a matrix without springs, and to fewer scalars."""
+    problem = torn_grid(fixed=lambda x: np.zeros(len(x), dtype=bool), **GRID)
+    n, m = problem.modes.shape
+    rng = np.random.default_rng(1)
+    system = (rng.standard_normal(n), problem.modes, problem.modes, np.zeros((m, m)), np.ones(m))
+    ksp = create_ksp(problem.A, ksp_rtol=RTOL)
+    rows = slice(*problem.A.getOwnershipRange())
+    r = rng.standard_normal(n)[rows]
+
+    problem.local.shift(1.0)  # resists the rigid motions
+    _, _, solver = bordered(problem, ksp, *system)
+    agree(ksp.getConvergedReason() > 0, ksp.getPythonContext().message)
+    agree(solver.correction(ksp, r, np.ones(m)) is not None)
+
+    problem.local.shift(-1.0)
+    ksp.setTolerances(max_it=1)
+    bordered(problem, ksp, *system, solver)
+    agree(ksp.getConvergedReason() == Reason.DIVERGED_MAX_IT, ksp.getConvergedReason())
+    agree(solver.correction(ksp, r, np.ones(m)) is None)
 
 
 def test_last_solution_serves_the_next_matrix(torn_grid, create_ksp):
