@@ -192,20 +192,20 @@ class SolverCache:
 
         The first case that applies determines the way:
 
-        1. CG met negative curvature, and the options or the caller exclude GMRES in the dual form:
-           none.
+        1. CG met negative curvature, and there is no dual form (``setup_for_dual``), or the caller
+           does not allow an indefinite matrix: none. Another preconditioner would meet the same
+           curvature.
         2. CG met negative curvature with a new preconditioner: the dual form.
         3. The preconditioner was reused: a new one.
         4. The coarse solver of the primal form returned NaN: the dual form, which has another one.
         5. Any other failure: none.
         """
-        is_auto = self._options.formulation == "auto"
+        setup = formulation.setup_for_dual()
         is_reused = self.age > 0
         if failed.reason == Reason.DIVERGED_INDEFINITE_MAT and not formulation.solves_indefinite:
-            if not (is_auto and allow_indefinite):
-                return False  # another preconditioner would meet the same negative curvature
-            setup = formulation.setup_for_dual()
-            if setup is not None and not is_reused:
+            if setup is None or not allow_indefinite:
+                return False
+            if not is_reused:
                 self._replace_by_dual(pattern, formulation, setup)
                 return True
         if is_reused:
@@ -215,9 +215,7 @@ class SolverCache:
         # Matrix, load and residual are finite, so only the coarse solver can have returned NaN.
         is_finite = bool(np.isfinite(failed.accuracy.residual))
         has_coarse_failed = failed.reason == Reason.DIVERGED_NANORINF and is_finite
-        can_be_dual = is_auto and pattern.is_symmetric
-        setup = formulation.setup_for_dual()
-        if has_coarse_failed and can_be_dual and setup is not None:
+        if has_coarse_failed and setup is not None:
             self._replace_by_dual(pattern, formulation, setup)
             return True
         return False

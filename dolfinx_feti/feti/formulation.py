@@ -133,4 +133,8 @@ class Formulation(Protocol):
         """Return the preconditioner for a later matrix; None if none can serve it (dual)."""
 
     def setup_for_dual(self) -> Setup | None:
-        """Return S, δ and K_ρ⁻¹ for the dual formulation of this matrix; None if it is the dual."""
+        """Return S, δ and K_ρ⁻¹ for the dual formulation of this matrix.
+
+        It is None if that cannot replace this one: this is the dual one itself, the options choose
+        another one, or the matrix is not symmetric.
+        """

@@ -219,8 +219,14 @@ class PrimalFormulation:
         """
         return self.preconditioner.for_later_matrix(self.coarse.combinations)
 
-    def setup_for_dual(self) -> Setup:
-        """Return S, δ and K_ρ⁻¹ for the dual formulation of this matrix."""
+    def setup_for_dual(self) -> Setup | None:
+        """Return S, δ and K_ρ⁻¹ for the dual formulation of this matrix.
+
+        It is None if the dual formulation cannot replace this one: the options choose the primal
+        one, or the matrix is not symmetric.
+        """
+        if self.pattern.options.formulation != "auto" or not self.pattern.is_symmetric:
+            return None
         M = self.preconditioner
         return Setup(self.operator, M.delta, M.inverse, M.inertia)
 
