@@ -28,7 +28,7 @@ start, these questions are answered in this order:
   reason. ``_is_finished`` also accepts a residual that rounding keeps above its tolerance.
 
 The Krylov method gets the bounds of ‖r‖ and η as arguments ``target`` and ``error_test`` of
-``Formulation.solve``. All norms are Euclidean; ``max_norm`` is the largest norm that is allowed.
+``Formulation.solve``. All norms are Euclidean.
 
 Options of the solver are in ``formulation.pattern.options``. To turn a number below into an option,
 add a field to ``FETIOptions``.
@@ -47,7 +47,7 @@ import numpy as np
 from dolfinx_feti.feti.accuracy import ComponentNorms, ErrorTest
 from dolfinx_feti.feti.converged_reason import converged_reason, failure_message
 from dolfinx_feti.feti.formulation import Formulation
-from dolfinx_feti.feti.monitor import OuterMonitor
+from dolfinx_feti.feti.monitor import UserMonitors
 from dolfinx_feti.feti.solve_info import Accuracy, KrylovInfo, SolveInfo
 from dolfinx_feti.feti.solve_settings import SolveSettings, Tolerances
 from dolfinx_feti.feti.subdomain.failures import on_subdomains
@@ -116,6 +116,7 @@ def solve_assembled(
 
     Raises:
         SetUpError: Local work in an iteration failed, such as a solve with a factor.
+        ValueError: The KSP has a convergence test of the user's. On all processes.
     """
     prefix = ksp.getOptionsPrefix() or ""
     x.set(0.0)
@@ -288,10 +289,11 @@ class _OuterLoop:
 
         Raises:
             SetUpError: Local work in an iteration failed.
+            ValueError: The KSP has a convergence test of the user's. On all processes.
         """
         formulation = self._formulation
         torn = self._torn
-        monitors = OuterMonitor(self._ksp)
+        monitors = UserMonitors(self._ksp)
         # Dofs without a copy are Dirichlet dofs: x takes their values from b, all others from u.
         x.array[:] = np.where(torn.is_unused, self._b.array_r, 0.0)
         # The first start has b as right-hand side, and the formulation itself moves K u_D to the

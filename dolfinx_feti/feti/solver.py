@@ -37,7 +37,6 @@ from dolfinx_feti.feti.solve_info import SolveInfo
 from dolfinx_feti.feti.solve_settings import SolveSettings, Tolerances
 from dolfinx_feti.feti.subsolver_options import SubsolverOptions, read_subsolver_options
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_errors import garbage_collection_resumed
@@ -53,21 +52,6 @@ RTOL = 1e-8
 
 #: PETSc's default relative tolerance.
 PETSC_RTOL = 1e-5
-
-
-def _refuse_convergence_test(ksp: PETSc.KSP) -> None:
-    """Check that the user has set no convergence test on a KSP; not collective.
-
-    Raises:
-        ValueError: There is one; it would never be called.
-    """
-    # petsc4py has no getter. It stores the test under this name in all versions under test.
-    if ksp.getAttr("__converged__") is not None:
-        raise ValueError(
-            "ksp.setConvergenceTest has no effect: FETI stops by the residual and the estimated "
-            "error of the assembled system. Leave it out, and set ksp_rtol, ksp_atol, ksp_max_it, "
-            "or a monitor, which is called."
-        )
 
 
 class FETI:
@@ -180,11 +164,6 @@ class FETI:
         return self._cache.formulation
 
     @property
-    def form(self) -> Formulation | None:
-        """Earlier name of :attr:`formulation`, for scripts that use it."""
-        return self.formulation
-
-    @property
     def age(self) -> int:
         """Number of matrices since the one that the preconditioner was built for."""
         return self._cache.age
@@ -282,7 +261,6 @@ class FETI:
             ValueError: The KSP has a convergence test of the user's. On all processes.
         """
         with garbage_collection_resumed(ksp):
-            on_all(lambda: _refuse_convergence_test(ksp), ksp.comm.tompi4py())
             self.setUp(ksp)  # PETSc has not called it if the entries changed without setOperators
             with Lifetime() as owned:
                 unlifted = owned.own(self._unlifted(ksp, b))
