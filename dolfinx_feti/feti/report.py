@@ -77,16 +77,6 @@ class Report:
     error_estimate: float
     error_floor: float
 
-    @property
-    def lag(self) -> int:
-        """Earlier name of :attr:`age`, for scripts that use it."""
-        return self.age
-
-    @property
-    def error(self) -> float:
-        """Earlier name of :attr:`error_estimate`, for scripts that use it."""
-        return self.error_estimate
-
 
 def create_report(formulation: Formulation, info: SolveInfo, *, age: int) -> Report:
     """Create the report of a formulation and its last solve, over all processes. Collective.
