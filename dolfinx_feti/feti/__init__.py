@@ -12,15 +12,16 @@ for the simulation of arterial tissues, International Journal for Numerical Meth
   ``__init__`` of a formulation's folder has the order in which its files are called.
 - Its result: ``solve_info`` (records), ``accuracy`` (estimated error), ``converged_reason``,
   ``report``.
-- Its input: ``options``, ``subsolver_options``, ``solve_settings``, ``krylov_limits``, ``monitor``,
-  ``lifting`` (conventions of right-hand sides).
+- Its input: ``options``, ``option_checks``, ``unread_options``, ``subsolver_options``,
+  ``solve_settings``, ``krylov_limits``, ``monitor``, ``lifting`` (conventions of right-hand sides).
 - Set-up: ``cache`` (what is reused for later matrices), ``pattern`` (symbolic parts), ``setup``
   (numerical parts), and the folders ``interface``, ``subdomain``, ``preconditioners``, ``coarse``
   and ``regularity``.
 
-In the order of the data: krylov_limits, solve_info, monitor, subsolver_options, interface,
-subdomain, preconditioners, options, coarse, regularity, pattern, setup, accuracy, dual,
-primal, formulation, cache, solve_settings, converged_reason, outer_loop, report, lifting, solver.
+In the order of the data: krylov_limits, solve_info, monitor, subsolver_options, option_checks,
+interface, subdomain, preconditioners, options, unread_options, coarse, regularity, pattern, setup,
+accuracy, dual, primal, formulation, cache, solve_settings, converged_reason, outer_loop, report,
+lifting, solver.
 """
 
 from dolfinx_feti.feti.solver import FETI

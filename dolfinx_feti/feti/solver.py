@@ -29,13 +29,15 @@ from dolfinx_feti.feti.cache import SolverCache
 from dolfinx_feti.feti.converged_reason import ERROR_FLOOR_WARNING, LOGGED_ROUNDING_SHARE
 from dolfinx_feti.feti.formulation import Formulation
 from dolfinx_feti.feti.lifting import RightHandSides
-from dolfinx_feti.feti.options import FETIOptions, check_petsc_options, read_options, warn_of_unread
+from dolfinx_feti.feti.option_checks import check_petsc_options
+from dolfinx_feti.feti.options import FETIOptions, read_options
 from dolfinx_feti.feti.outer_loop import precondition, solve_assembled
 from dolfinx_feti.feti.report import Report, create_report, format_report
 from dolfinx_feti.feti.setup import Inertia
 from dolfinx_feti.feti.solve_info import SolveInfo
 from dolfinx_feti.feti.solve_settings import SolveSettings, Tolerances
 from dolfinx_feti.feti.subsolver_options import SubsolverOptions, read_subsolver_options
+from dolfinx_feti.feti.unread_options import warn_of_unread
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime

@@ -16,9 +16,10 @@ from dataclasses import replace
 
 from petsc4py import PETSc
 
-from dolfinx_feti.feti.options import may_be_solver_option, read_options, warn_of_unread
+from dolfinx_feti.feti.options import read_options
 from dolfinx_feti.feti.solve_settings import ErrorAllowance
 from dolfinx_feti.feti.solver import FETI
+from dolfinx_feti.feti.unread_options import may_be_solver_option, warn_of_unread
 from dolfinx_feti.problems.solver_options import (
     BOUNDS_TEXT,
     FOREIGN_PREFIXES,

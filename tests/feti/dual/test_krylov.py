@@ -14,7 +14,8 @@ from cases import case, each
 from collective import agree, raises, small
 from hand_torn import random_values, solve, solved
 
-from dolfinx_feti.feti.options import DUAL_METHODS, read_options
+from dolfinx_feti.feti.option_checks import DUAL_METHODS
+from dolfinx_feti.feti.options import read_options
 from dolfinx_feti.runtime.petsc_options import inserted
 
 GRID = case((3, 2), (3, 3), 2)
