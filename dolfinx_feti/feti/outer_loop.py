@@ -126,21 +126,20 @@ def solve_assembled(
     torn = formulation.pattern.torn
     with Lifetime() as owned:
         r = owned.own(b.duplicate())
+        x_D = owned.own(b.duplicate())
         u_D = np.where(torn.is_dirichlet_copy, torn.tear(b.array_r), 0.0)
-        # x_D is needed for the scale alone: the loop below overwrites x and r.
-        x.array[:] = torn.assemble(formulation.delta * u_D)  # x_D
-        torn.residual(b, x, r)  # r = b − A x_D
+        x_D.array[:] = torn.assemble(formulation.delta * u_D)
+        torn.residual(b, x_D, r)  # r = b − A x_D
         scale = float(r.norm())
-        max_part = max_null_part(torn, b, x, r, settings.load_rounding)
+        max_part = max_null_part(torn, b, x_D, r, settings.load_rounding)
         null_part = remove_null_space(torn.A, r)  # r ← r − Z Zᵀ r
         if null_part > max_part:
-            x.set(0.0)
             accuracy = Accuracy(residual=null_part / scale)
             return _outcome(KrylovInfo(Reason.DIVERGED_NULL), accuracy, formulation, prefix)
         norms = ComponentNorms(torn).for_load(r.array_r)
         goal = _create_goal(scale, tolerances, settings, torn.N)
         loop = _OuterLoop(ksp, formulation, b, u_D, goal, norms, settings)
-        return loop.run(x, r, iterations_before)
+        return loop.run(x, r, iterations_before)  # overwrites r
 
 
 def _outcome(
@@ -332,7 +331,7 @@ class _OuterLoop:
             u_D = np.zeros_like(u_D)  # x has the prescribed values now
         x.array[:] = best.x
         remove_null_space(torn.A, x)
-        best = self._with_missing_error(best, x, r)
+        best = self._with_error(best, x, r)
         self._ksp.setResidualNorm(best.norm)  # infinite if no iterate is finite
         outcome = _outcome(
             starts[-1],
@@ -418,7 +417,7 @@ class _OuterLoop:
         error_estimate, total = self._norms.ratios_of_correction(z, references)
         return replace(iterate, error_estimate=error_estimate, total_error_estimate=total)
 
-    def _with_missing_error(self, best: _Iterate, x: PETSc.Vec, r: PETSc.Vec) -> _Iterate:
+    def _with_error(self, best: _Iterate, x: PETSc.Vec, r: PETSc.Vec) -> _Iterate:
         """Return the best iterate with its η, which is measured if it is still missing. Collective.
 
         Args:
