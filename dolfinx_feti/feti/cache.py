@@ -124,7 +124,7 @@ class SolverCache:
             last.destroy()
         pattern = self._pattern if comm.allreduce(has_same_pattern, op=MPI.LAND) else None
         if pattern is None or pattern.torn.is_symmetric() != pattern.is_symmetric:
-            self._end_pattern()
+            self._free_pattern()
             pattern = create_pattern(A, self._options, self._subsolvers, self._pattern_objects)
             self._pattern = pattern
             self.pattern_number += 1
@@ -134,7 +134,7 @@ class SolverCache:
             self._set_up(pattern)
             on_subdomains(errors.raise_first, comm)
         except Exception:
-            self._end_formulation()
+            self._free_formulation()
             raise
 
     def record(self, info: SolveInfo) -> None:
@@ -177,7 +177,7 @@ class SolverCache:
                 self._pattern, self.formulation, failed, allow_indefinite=allow_indefinite
             )
         except Exception:
-            self._end_formulation()
+            self._free_formulation()
             raise
 
     def _set_up_retry(
@@ -251,7 +251,7 @@ class SolverCache:
             else:
                 self.age += 1
                 return
-        self._end_formulation()
+        self._free_formulation()
         self.formulation = self._create_formulation(pattern)
 
     def _create_formulation(self, pattern: Pattern) -> Formulation:
@@ -322,12 +322,12 @@ class SolverCache:
 
     def destroy(self) -> None:
         """Free everything."""
-        self._end_pattern()
+        self._free_pattern()
         if self._version is not None:
             self._version.destroy()
             self._version = None
 
-    def _end_formulation(self) -> None:
+    def _free_formulation(self) -> None:
         """Free what belongs to the matrix and to its preconditioner, whose age and rate end."""
         self.formulation = None
         self._matrix_objects.close()
@@ -336,9 +336,9 @@ class SolverCache:
         self.age = 0
         self._rate = np.nan
 
-    def _end_pattern(self) -> None:
+    def _free_pattern(self) -> None:
         """Free what belongs to the pattern, the matrix and the preconditioner."""
-        self._end_formulation()
+        self._free_formulation()
         self._pattern_objects.close()
         self._pattern = None
         self._ritz_vectors = None

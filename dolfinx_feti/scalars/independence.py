@@ -45,7 +45,7 @@ def require_independent(border: Border, free: Mask, comm: MPI.Comm) -> None:
     _check_columns(border.B, border.D, free, "unknowns", comm)
 
 
-def _check_columns(columns: Array, corner: Array, free: Mask, kind: str, comm: MPI.Comm) -> None:
+def _check_columns(columns: Array, corner: Array, free: Mask, name: str, comm: MPI.Comm) -> None:
     """Check that columns of a border are not zero on free dofs, and independent. Collective.
 
     Columns that are coupled to another scalar by D are not checked.
@@ -54,7 +54,7 @@ def _check_columns(columns: Array, corner: Array, free: Mask, kind: str, comm: M
         columns: B or C, (N, m).
         corner: D or Dᵀ, (m, m).
         free: Mask of the dofs without Dirichlet condition, (N,).
-        kind: Name of the columns in a message.
+        name: Name of the columns in a message.
         comm: Communicator.
     """
     all_squares = total_of((columns**2).sum(axis=0), comm)
@@ -65,7 +65,7 @@ def _check_columns(columns: Array, corner: Array, free: Mask, kind: str, comm: M
     idle = np.flatnonzero(is_zero & ~is_coupled)
     if len(idle):
         raise ValueError(
-            f"The scalar {kind} {idle.tolist()} depend neither on a free dof of u nor on "
+            f"The scalar {name} {idle.tolist()} depend neither on a free dof of u nor on "
             "another scalar, so that no solve can satisfy them. Look at the Dirichlet "
             "conditions and at the measures."
         )
@@ -77,6 +77,6 @@ def _check_columns(columns: Array, corner: Array, free: Mask, kind: str, comm: M
     if values[0] < DEPENDENT_SINE**2:
         dependent = alone[np.abs(vectors[:, 0]) > NAMED_ENTRY]
         raise ValueError(
-            f"The scalar {kind} {dependent.tolist()} depend on each other, so that they "
+            f"The scalar {name} {dependent.tolist()} depend on each other, so that they "
             "contradict each other or leave a multiplier free: leave one of them out."
         )

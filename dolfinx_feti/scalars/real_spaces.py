@@ -47,7 +47,7 @@ def unit_values(shape: tuple[int, ...]) -> list[Expr]:
 
 
 def separate_scalars(
-    F: ufl.Form | Sequence[ufl.Form], blocks: Sequence[dolfinx.fem.Function]
+    F: ufl.Form | Sequence[ufl.Form], unknowns: Sequence[dolfinx.fem.Function]
 ) -> tuple[list[ufl.Form], dict[dolfinx.fem.Function, dolfinx.fem.Constant], list[ScalarEquation]]:
     """Separate the scalars on real spaces from a problem in blocks.
 
@@ -55,7 +55,7 @@ def separate_scalars(
         F: Residuals in the order of the unknowns, or a Lagrangian in all unknowns. Residuals tested
             in real spaces may be at any position; those of one real space are in the order of its
             scalars.
-        blocks: The unknowns, some of them on real spaces.
+        unknowns: The unknowns, some of them on real spaces.
 
     Returns:
         The other residuals, with constants in place of the scalars; the constant of each scalar;
@@ -64,9 +64,9 @@ def separate_scalars(
     Raises:
         ValueError: The residuals do not fit the scalars.
     """
-    scalars = [w for w in blocks if is_real(w.function_space)]
+    scalars = [w for w in unknowns if is_real(w.function_space)]
     if isinstance(F, ufl.Form):
-        F = [ufl.derivative(F, w, ufl.TestFunction(w.function_space)) for w in blocks]
+        F = [ufl.derivative(F, w, ufl.TestFunction(w.function_space)) for w in unknowns]
     constants = {s: constant_of(s) for s in scalars}
     forms = [ufl.replace(form, constants) for form in F]
     if any(len(form.arguments()) != 1 for form in forms):

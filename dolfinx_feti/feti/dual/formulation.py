@@ -219,21 +219,23 @@ class DualFormulation:
         """Return None: this is the dual formulation."""
 
 
-def create_dual_formulation(pattern: Pattern, setup: Setup, within: Lifetime) -> DualFormulation:
+def create_dual_formulation(
+    pattern: Pattern, setup: Setup, matrix_objects: Lifetime
+) -> DualFormulation:
     """Create M, the coarse problem and the dual system of the present matrix. Collective.
 
     Args:
         pattern: Data that depend on the pattern of the matrix alone.
         setup: S, δ and K⁺ of the matrix; their owner outlives the formulation.
-        within: Owner of the objects that are created here, which belong to the matrix; it destroys
-            them.
+        matrix_objects: Owner of the objects that are created here, which belong to the matrix; it
+            destroys them.
 
     Raises:
         SetUpError: The set-up failed; a SingularError if the assembled problem is singular.
     """
     torn = pattern.torn
     coarse_options = pattern.subsolvers.coarse
-    preconditioner = _create_preconditioner(pattern, setup, within)
+    preconditioner = _create_preconditioner(pattern, setup, matrix_objects)
     with event("FETICoarse"):
         coarse = DualCoarseProblem(
             torn,
@@ -244,7 +246,7 @@ def create_dual_formulation(pattern: Pattern, setup: Setup, within: Lifetime) ->
             weight=pattern.options.coarse_q,
             options=coarse_options,
         )
-        within.own(coarse)
+        matrix_objects.own(coarse)
         require_regular(
             torn,
             pattern.bodies,
@@ -267,16 +269,24 @@ def create_dual_formulation(pattern: Pattern, setup: Setup, within: Lifetime) ->
         coarse=coarse,
         inertia=inertia,
         method=method,
-        system=within.own(system),
+        system=matrix_objects.own(system),
     )
 
 
-def _create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> Preconditioner:
-    """Create the preconditioner M that the options name, owned by ``within``. Collective."""
-    B_D = within.own(pattern.gluing.scaled_jumps(pattern.torn, setup.delta))
+def _create_preconditioner(
+    pattern: Pattern, setup: Setup, matrix_objects: Lifetime
+) -> Preconditioner:
+    """Create the preconditioner M that the options name. Collective.
+
+    Args:
+        pattern: Data that depend on the pattern of the matrix alone.
+        setup: S, δ and K⁺ of the matrix.
+        matrix_objects: Owner of M and B_D, which destroys them.
+    """
+    B_D = matrix_objects.own(pattern.gluing.scaled_jumps(pattern.torn, setup.delta))
     stabilisation = [modes.stabilisation for modes in setup.inverse.modes]
     create = PRECONDITIONERS[pattern.options.pc_type]
-    preconditioner: Preconditioner = within.own(create(setup.operator, B_D, stabilisation))
+    preconditioner: Preconditioner = matrix_objects.own(create(setup.operator, B_D, stabilisation))
     return preconditioner
 
 
