@@ -41,19 +41,19 @@ class Border:
         B: Columns, (N, m); rows of Dirichlet dofs count as zero.
         C: Rows of the equations, transposed, (N, m).
         D: Corner, (m, m).
-        springs: Number of the last scalars that are forces of springs (``springs``). The right-hand
-            sides of their equations are zero.
+        spring_count: Number k of the last scalars, which are forces of springs (``springs``). The
+            right-hand sides of their equations are zero.
     """
 
     B: Array
     C: Array
     D: Array
-    springs: int = 0
+    spring_count: int = 0
 
     @property
     def count(self) -> int:
-        """Number of the other scalars, m − springs."""
-        return len(self.D) - self.springs
+        """Number of the other scalars, m − k."""
+        return len(self.D) - self.spring_count
 
     @classmethod
     def zero(cls, N: int, m: int) -> Border:
@@ -61,11 +61,11 @@ class Border:
         return cls(np.zeros((N, m)), np.zeros((N, m)), np.zeros((m, m)))
 
     def with_springs(self, d: Array) -> Array:
-        """Return values of the other scalars, (m − springs,), with zeros for the springs, (m,)."""
-        return np.concatenate([d, np.zeros(self.springs)])
+        """Return values of the other scalars, (m − k,), with zeros for the springs, (m,)."""
+        return np.concatenate([d, np.zeros(self.spring_count)])
 
     def without_springs(self, s: Array) -> Array:
-        """Return the values s, (m,), of the other scalars, (m − springs,)."""
+        """Return the values s, (m,), of the other scalars, (m − k,)."""
         return s[: self.count]
 
 
@@ -140,7 +140,7 @@ class BlockElimination:
         accurate to their rounding only. The forces of springs do not count.
 
         Args:
-            ds: Correction δs of the scalars without springs, (m − springs,).
+            ds: Correction δs of the scalars without springs, (m − k,).
             s: These scalars, or their largest sizes among several iterates.
             x: x, or the largest sizes of x_j among several iterates, (N,).
         """

@@ -181,7 +181,7 @@ class BorderedSolver:
             MatrixSolveError: A solve with A has failed.
         """
         if self._elimination is None:
-            first_X = np.zeros_like(system.B)
+            first_X = np.zeros_like(system.border.B)
             first_X[:, system.border.count :] = springs.X
             first_rtol = solver.rtol
         else:

@@ -8,7 +8,7 @@ r"""One bordered system: its product, its residual, and how accurate each column
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -37,8 +37,7 @@ class BorderedSystem:
         A: Torn matrix.
         free: Mask of the dofs without a prescribed value, (N,).
         b: First right-hand side, zero on Dirichlet dofs, (N,).
-        B: B of the border with zeros on Dirichlet dofs, (N, m).
-        border: B, C and D.
+        border: B, with zeros on Dirichlet dofs, C and D.
         d: Second right-hand side, (m,).
         b_norm: ‖b‖.
         B_norms: Norms of the columns B_k, (m,).
@@ -48,7 +47,6 @@ class BorderedSystem:
     A: PETSc.Mat
     free: Mask
     b: Array
-    B: Array
     border: Border
     d: Array
     b_norm: float
@@ -72,7 +70,7 @@ class BorderedSystem:
 
     def residual(self, x: Array, s: Array) -> tuple[Array, Array]:
         """Return b − A x − B s, (N,), and d − Cᵀ x − D s, (m,). Collective."""
-        r = self.b - (self.product(x[:, None])[:, 0] + self.B @ s)
+        r = self.b - (self.product(x[:, None])[:, 0] + self.border.B @ s)
         c = self.d - total_of(self.border.C.T @ x, self.comm) - self.border.D @ s
         return r, c
 
@@ -96,8 +94,8 @@ def create_bordered_system(A: PETSc.Mat, b: Array, border: Border, d: Array) -> 
     Args:
         A: Torn matrix, with the springs.
         b: First right-hand side, with any values on Dirichlet dofs, (N,).
-        border: B, C and D of m scalars, the forces of the springs among them.
-        d: Second right-hand side of the scalars without these forces, (m − springs,).
+        border: B, C and D of m scalars, of which the last k are the forces of the springs.
+        d: Second right-hand side of the scalars without these forces, (m − k,).
     """
     comm = A.comm.tompi4py()
     free = ~read_dirichlet_mask(A)
@@ -107,8 +105,7 @@ def create_bordered_system(A: PETSc.Mat, b: Array, border: Border, d: Array) -> 
         A=A,
         free=free,
         b=b,
-        B=B,
-        border=border,
+        border=replace(border, B=B),
         d=border.with_springs(d),
         b_norm=float(norms_of_columns(b[:, None], comm)[0]),
         B_norms=norms_of_columns(B, comm),

@@ -52,18 +52,19 @@ def solve_for_columns(
             is an s.
 
     Returns:
-        The columns. If S is singular, no s improves them: they are those of the first pass.
+        The columns. Once S is singular, there is no s by which to correct them further.
 
     Raises:
         MatrixSolveError: A solve with A has failed.
     """
+    B = system.border.B
     X = first_X.copy()
-    R = system.B - system.product(X)  # B − A X
+    R = B - system.product(X)  # B − A X
     allowed = first_rtol * system.B_norms
     for _ in range(MAX_PASSES):
         for k in np.flatnonzero(norms_of_columns(R, system.comm) > allowed):
             X[:, k] += solver.solve_to(R[:, k], rtol=0.0, atol=allowed[k])
-            R[:, k : k + 1] = system.B[:, k : k + 1] - system.product(X[:, k : k + 1])
+            R[:, k : k + 1] = B[:, k : k + 1] - system.product(X[:, k : k + 1])
         elimination = BlockElimination(system.border, X, system.comm)
         s = elimination.solve_for_scalars(y, system.d)
         residuals = norms_of_columns(R, system.comm)

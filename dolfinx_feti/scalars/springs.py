@@ -111,7 +111,7 @@ class PointSprings:
         B = np.hstack([border.B, -self._E])
         C = np.hstack([border.C, -self._E])
         D = scipy.linalg.block_diag(border.D, np.diag(1.0 / self._κ))
-        return Border(B, C, D, springs=self.count)
+        return Border(B, C, D, spring_count=self.count)
 
 
 def _free_motions(torn: Torn) -> Array:
