@@ -38,8 +38,8 @@ class ArcLength(Coupling):
 
     Attributes:
         load: λ, a constant in the residual.
-        functions: u_n and t_u. The numbers (λ_n, t_λ, ψ², Δs) are one Constant of the equation:
-            paths restore it with the other Constants of the forms.
+        functions: u_n and t_u. The numbers λ_n, t_λ, ψ² and Δs are Constants of the equation: paths
+            restore them with the other Constants of the forms.
     """
 
     def __init__(self, u: dolfinx.fem.Function, load: dolfinx.fem.Constant) -> None:
@@ -63,8 +63,11 @@ class ArcLength(Coupling):
         self._secant = dolfinx.fem.Function(V)
         self.functions = (self._last, self._secant)
         self._last.x.array[:] = u.x.array
-        # (λ_n, t_λ, ψ², Δs). With t_λ = 2 and ψ = 0 the first step has the equation λ − λ_n = Δs.
-        self._path = dolfinx.fem.Constant(mesh, np.array([float(load.value), 2.0, 0.0, 0.0]))
+        # With t_λ = 2 and ψ = 0 the first step has the equation λ − λ_n = Δs.
+        self._last_load = dolfinx.fem.Constant(mesh, np.float64(load.value))  # λ_n
+        self._load_secant = dolfinx.fem.Constant(mesh, np.float64(2.0))  # t_λ
+        self._ψ2 = dolfinx.fem.Constant(mesh, np.float64(0.0))
+        self._length = dolfinx.fem.Constant(mesh, np.float64(0.0))  # Δs
         dx = ufl.Measure("dx", mesh)
         one = dolfinx.fem.form(dolfinx.fem.Constant(mesh, np.float64(1.0)) * dx)
         self._comm = mesh.comm
@@ -75,21 +78,21 @@ class ArcLength(Coupling):
 
     def begin_step(self, length: float) -> None:
         """Prepare a step of the length Δs, in the unit of the load."""
-        last, t, ψ2, _ = self._path.value
-        self._path.value = [last, t, ψ2, length]
+        self._length.value = length
 
     def accept(self) -> None:
         """Store the present state as the last one, and the secant to it. Collective."""
-        last, _, ψ2, ds = self._path.value
         squares = self._comm.allreduce(dolfinx.fem.assemble_scalar(self._moved))
-        step = float(self.load.value) - last
-        if ψ2 == 0.0 and squares > 0.0:
-            ψ2 = step**2 / squares
-        norm = np.sqrt((ψ2 * squares + step**2) / 2.0)
+        step = float(self.load.value - self._last_load.value)
+        if self._ψ2.value == 0.0 and squares > 0.0:
+            self._ψ2.value = step**2 / squares
+        norm = np.sqrt((float(self._ψ2.value) * squares + step**2) / 2.0)
         if norm > 0.0:
-            sign = np.sign(ds) or 1.0  # t points to larger s, also after a step back
+            # t points to larger s, also after a step back.
+            sign = float(np.sign(self._length.value)) or 1.0
             self._secant.x.array[:] = sign * (self._u.x.array - self._last.x.array) / norm
-            self._path.value = [float(self.load.value), sign * step / norm, ψ2, ds]
+            self._load_secant.value = sign * step / norm
+            self._last_load.value = self.load.value
         self._last.x.array[:] = self._u.x.array
 
     @property
@@ -99,6 +102,7 @@ class ArcLength(Coupling):
         All of its terms are means over the body, those without u as well, because an equation is a
         sum of integrals.
         """
-        last, t, ψ2, ds = (self._path[i] for i in range(4))
-        along = ψ2 * ufl.inner(self._secant, self._u - self._last) + t * (self.load - last)
-        return ScalarEquation(self.load, ((along / 2.0 - ds) / self._size * self._dx,))
+        along_u = self._ψ2 * ufl.inner(self._secant, self._u - self._last)
+        along_load = self._load_secant * (self.load - self._last_load)
+        mean = ((along_u + along_load) / 2.0 - self._length) / self._size
+        return ScalarEquation(self.load, (mean * self._dx,))
