@@ -128,7 +128,7 @@ class SolverCache:
             pattern = create_pattern(A, self._options, self._subsolvers, self._pattern_objects)
             self._pattern = pattern
             self.pattern_number += 1
-        errors = pattern.torn.errors
+        errors = pattern.errors
         errors.clear()  # those of an earlier set-up that failed for another reason
         try:
             self._set_up(pattern)

@@ -99,7 +99,7 @@ class Formulation(Protocol):
     ) -> tuple[Array, KrylovInfo]:
         """Solve A x = r for an assembled right-hand side. Collective.
 
-        An error of local work in the iterations is stored in ``pattern.torn.errors``, and NaN takes
+        An error of local work in the iterations is stored in ``pattern.errors``, and NaN takes
         the place of the result. The caller raises it on all processes.
 
         Args:

@@ -318,7 +318,7 @@ class _OuterLoop:
             iterations += info.iterations
             self._ksp.setIterationNumber(iterations_before + iterations)
             x.array[:] += torn.assemble(formulation.delta * u)  # x ← x + Tᵀ δ u
-            on_subdomains(torn.errors.raise_first, torn.comm)  # errors of the iterations
+            on_subdomains(formulation.pattern.errors.raise_first, torn.comm)
             self._compute_residual(x, r)
             previous = best
             iterate = self._measure(x, r, info)
@@ -531,6 +531,6 @@ def precondition(formulation: Formulation, r: PETSc.Vec) -> Array:
     with Lifetime() as owned:
         z = owned.own(r.duplicate())
         z.array[:] = torn.assemble(formulation.delta * formulation.precondition(r))  # Tᵀ δ u
-        on_subdomains(torn.errors.raise_first, torn.comm)
+        on_subdomains(formulation.pattern.errors.raise_first, torn.comm)
         remove_null_space(torn.A, z)
         return z.array_r.copy()

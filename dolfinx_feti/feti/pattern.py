@@ -26,6 +26,7 @@ from dolfinx_feti.feti.subdomain.analysis import Analysis, analyse
 from dolfinx_feti.feti.subdomain.subdomain import Subdomain, create_subdomains
 from dolfinx_feti.feti.subsolver_options import SubsolverOptions
 from dolfinx_feti.runtime.arrays import Mask
+from dolfinx_feti.runtime.collective import DeferredErrors
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.connectivity import has_repeated_dofs
@@ -48,6 +49,8 @@ class Pattern:
             in classical FETI, none in all-floating FETI.
         analysis: The subdomains, and how their blocks are factored.
         symmetric_part_analysis: The same for ½ (K + Kᵀ), if K is not symmetric.
+        errors: Store for the errors of local work in iterations with matrices of this pattern. S,
+            K⁺, the copies and the coarse solvers put them there; the outer loop raises them.
     """
 
     options: FETIOptions
@@ -59,6 +62,7 @@ class Pattern:
     is_fixed: Mask
     analysis: Analysis
     symmetric_part_analysis: Analysis | None
+    errors: DeferredErrors
 
     @property
     def subdomains(self) -> list[Subdomain]:
@@ -114,6 +118,7 @@ def create_pattern(
         is_fixed=is_fixed,
         analysis=analysis,
         symmetric_part_analysis=symmetric_part_analysis,
+        errors=DeferredErrors(),
     )
 
 

@@ -188,7 +188,9 @@ def set_up_operator(pattern: Pattern, matrix_objects: Lifetime) -> SchurOperator
     torn = pattern.torn
     analysis = pattern.analysis
     with event("FETIFactor"), event("FETISchur"):
-        operator = on_subdomains(lambda: create_schur_operator(torn, analysis), torn.comm)
+        operator = on_subdomains(
+            lambda: create_schur_operator(torn, analysis, pattern.errors), torn.comm
+        )
         matrix_objects.own(operator)
     if analysis.is_interior_eliminated:
         require_regular_interior_blocks(pattern, operator)

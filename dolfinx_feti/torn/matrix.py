@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.runtime.arrays import Array, Integers, Mask, Numbers
-from dolfinx_feti.runtime.collective import DeferredErrors, logger, on_all
+from dolfinx_feti.runtime.collective import logger, on_all
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_library import csr_of, pattern_version, product
 from dolfinx_feti.runtime.star_forest import (
@@ -285,8 +285,6 @@ class Torn:
         is_dirichlet: Mask of the dofs with a prescribed value, (N,).
         is_dirichlet_copy: Mask of the copies of these dofs, (n,).
         is_unused: Mask of the dofs without a copy on any process, (N,).
-        errors: Errors of local work in the iterations with this matrix. The work returns NaN
-            instead, and the solver raises the first error after the iterations, on all processes.
     """
 
     def __init__(self, A: PETSc.Mat) -> None:
@@ -300,7 +298,6 @@ class Torn:
             ValueError: The local matrix is not square or not AIJ.
         """
         self.comm = A.comm.tompi4py()
-        self.errors = DeferredErrors()
         if A.getType() != PETSc.Mat.Type.IS:
             text = DESTROYED if A.getType() is None else NOT_TORN.format(A.getType())
             if self.comm.rank == 0:
@@ -330,8 +327,8 @@ class Torn:
     def with_local_matrix(self, K: PETSc.Mat) -> Torn:
         """Return a torn matrix in which another local matrix replaces K. Collective.
 
-        It shares all else with this object, the star forest and ``errors`` included, and must not
-        be used after :meth:`destroy` of this object. Its own :meth:`destroy` frees nothing.
+        It shares all else with this object, such as the star forest, and must not be used after
+        :meth:`destroy` of this object. Its own :meth:`destroy` frees nothing.
 
         Args:
             K: Square AIJ matrix with the subdomains of this object, (n, n). The caller destroys it.

@@ -58,7 +58,7 @@ def create(
     """
     setup = set_up(pattern, within, within)
     S = setup.operator
-    copies = within.own(Copies(pattern.torn, S.interfaces, setup.delta))
+    copies = within.own(Copies(pattern.torn, S.interfaces, setup.delta, pattern.errors))
     U = [K_i.E_on_interface for K_i in setup.inverse.by_subdomain]
     if more is not None:
         U = [np.hstack(pair) for pair in zip(U, more(setup, copies), strict=True)]

@@ -138,7 +138,7 @@ class DualCoarseProblem:
                     self.N,
                     options=options,
                     is_symmetric=True,
-                    errors=torn.errors,
+                    errors=preconditioner.operator.errors,
                     block_widths=np.array(widths, dtype=np.int64),
                 )
             )

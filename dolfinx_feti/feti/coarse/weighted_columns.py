@@ -100,7 +100,7 @@ def compute_weighted_columns(
     operator = preconditioner.operator
     comm = operator.torn.comm
     with Lifetime() as owned:
-        copies = owned.own(Copies(operator.torn, operator.interfaces, delta))
+        copies = owned.own(Copies(operator.torn, operator.interfaces, delta, operator.errors))
         E = inverse.E_on_interface(comm)
         basis = jump_columns(copies, E)
         dofmap = owned.own(CoarseDofMap(basis, [E_i.shape[1] for E_i in E], comm))

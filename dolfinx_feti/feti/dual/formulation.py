@@ -353,7 +353,7 @@ def _min_negative_eigenvalues(pattern: Pattern, setup: Setup) -> int | None:
         return None
     E = setup.inverse.E_on_interface(pattern.torn.comm)
     with Lifetime() as owned:
-        copies = owned.own(Copies(pattern.torn, operator.interfaces, setup.delta))
+        copies = owned.own(Copies(pattern.torn, operator.interfaces, setup.delta, pattern.errors))
         V = owned.own(AveragedBasis(copies, E))
         coarse_space = owned.own(
             PrimalCoarseProblem(V, operator, options=pattern.subsolvers.coarse)

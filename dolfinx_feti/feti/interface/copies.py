@@ -32,7 +32,7 @@ from dolfinx_feti.runtime.arrays import (
     concatenate,
     consecutive_slices,
 )
-from dolfinx_feti.runtime.collective import total_of
+from dolfinx_feti.runtime.collective import DeferredErrors, total_of
 from dolfinx_feti.runtime.star_forest import Value, broadcast, create_star_forest
 from dolfinx_feti.torn.matrix import Torn
 
@@ -46,7 +46,7 @@ class Copies:
 
     Attributes:
         comm: Communicator of the assembled problem.
-        errors: Collector of errors of local work during the iterations. The outer loop raises them.
+        errors: Store for the errors of local work in iterations on interface vectors.
         dofs: Torn dof of each row, (n_Γ,).
         rows: Rows of each subdomain, a slice for each.
         size: Number n_Γ of rows.
@@ -55,7 +55,9 @@ class Copies:
         pair_copies: Copy of each pair, as a row numbered over all processes, (pairs,).
     """
 
-    def __init__(self, torn: Torn, interfaces: Sequence[Indices], delta: Array) -> None:
+    def __init__(
+        self, torn: Torn, interfaces: Sequence[Indices], delta: Array, errors: DeferredErrors
+    ) -> None:
         """Find the copies of the interface dofs. Collective.
 
         Args:
@@ -63,9 +65,10 @@ class Copies:
             interfaces: Interface dofs of each subdomain, torn dofs of this process, (n_{Γ,i},)
                 each.
             delta: Weight δ of every torn dof, (n,).
+            errors: Store for the errors of local work in iterations.
         """
         self.comm = torn.comm
-        self.errors = torn.errors
+        self.errors = errors
         self.dofs = concatenate(interfaces, np.int32)
         self.rows = consecutive_slices([len(dofs) for dofs in interfaces])
         self.size = len(self.dofs)

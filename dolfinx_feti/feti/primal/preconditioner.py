@@ -75,7 +75,7 @@ def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> P
         within: Owner of the copies and columns.
     """
     S = setup.operator
-    copies = within.own(Copies(pattern.torn, S.interfaces, setup.delta))
+    copies = within.own(Copies(pattern.torn, S.interfaces, setup.delta, pattern.errors))
     with event("FETICoarse"):
         # The columns of every subdomain, (n_{Γ,i}, any number). Further ones join E here, so that
         # the adaptive columns leave out what they balance.

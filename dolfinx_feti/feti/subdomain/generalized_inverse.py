@@ -218,8 +218,8 @@ def create_generalized_inverse(
     Call it inside of ``on_subdomains``: it may fail on a single process.
 
     Args:
-        S: The Schur complements of the current K. If they are formed, all S_i are inverted;
-            otherwise all K_i of ``S.torn``.
+        S: The Schur complements of the current K, with the store for errors. If they are formed,
+            all S_i are inverted; otherwise all K_i of ``S.torn``.
         analysis: The subdomains, and how they are factored.
         near_kernel: The near kernel of the assembled problem on the torn dofs, (n, r).
         fixed: Mask of the torn dofs that are fixed in the local matrices, (n,).
@@ -250,7 +250,7 @@ def create_generalized_inverse(
                 factor, modes = find_modes(scaled, R_scaled, rigid_force, options)
             by_subdomain.append(inverses.own(SubdomainInverse(matrix, factor, modes)))
         inverses.release()  # the generalised inverse owns them
-    return GeneralizedInverse(by_subdomain, torn.errors)
+    return GeneralizedInverse(by_subdomain, S.errors)
 
 
 def subdomain_matrices(S: SchurOperator, analysis: Analysis) -> Sequence[SubdomainMatrix]:

@@ -34,6 +34,7 @@ from dolfinx_feti.feti.subdomain.schur import (
 )
 from dolfinx_feti.feti.subdomain.subdomain import Subdomain, interface_dofs
 from dolfinx_feti.runtime.arrays import Array, ArrayOrNaN, Indices
+from dolfinx_feti.runtime.collective import DeferredErrors
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.runtime.petsc_library import product
@@ -44,14 +45,16 @@ class SchurOperator(ABC):
     """S of all subdomains of this process, block-diagonal, and the solves with K_II.
 
     It is valid until the entries of ``torn.K`` change. The methods for iterations, which return an
-    ``ArrayOrNaN``, store their errors in ``torn.errors``; the others raise them.
+    ``ArrayOrNaN``, put their errors into ``errors``; the others raise them.
 
     Attributes:
         torn: The torn matrix.
+        errors: Store for the errors of the methods for iterations.
     """
 
-    def __init__(self, torn: Torn, subdomains: list[Subdomain]) -> None:
+    def __init__(self, torn: Torn, subdomains: list[Subdomain], errors: DeferredErrors) -> None:
         self.torn = torn
+        self.errors = errors
         self._interface = interface_dofs(subdomains)
         self._is_on_interface = np.zeros(torn.n, dtype=bool)
         self._is_on_interface[self._interface] = True
@@ -80,12 +83,12 @@ class SchurOperator(ABC):
             return St
 
         with event("FETISchurProduct"):
-            return self.torn.errors.guard(product_on_torn_dofs, t.shape)
+            return self.errors.guard(product_on_torn_dofs, t.shape)
 
     def multiply_on_interface(self, t: Array) -> ArrayOrNaN:
         """Return S t for an interface vector, (n_Γ,) → (n_Γ,)."""
         with event("FETISchurProduct"):
-            return self.torn.errors.guard(lambda: self._multiply_on_interface(t), t.shape)
+            return self.errors.guard(lambda: self._multiply_on_interface(t), t.shape)
 
     @abstractmethod
     def _multiply_on_interface(self, t: Array) -> Array:
@@ -109,7 +112,7 @@ class SchurOperator(ABC):
             load = f - self.torn.multiply(self._solve_interior(f))  # f − K (0, K_II⁻¹ f_I)
             return np.where(self._is_on_interface, load, 0.0)
 
-        return self.torn.errors.guard(condensed_load, f.shape)
+        return self.errors.guard(condensed_load, f.shape)
 
     def extend(self, u: Array, f: Array) -> ArrayOrNaN:
         """Extend a displacement of the interface to the interior, u_I = K_II⁻¹ (f_I − K_IΓ u_Γ).
@@ -126,7 +129,7 @@ class SchurOperator(ABC):
         def extension() -> Array:
             return on_interface + self._solve_interior(f - self.torn.multiply(on_interface))
 
-        return self.torn.errors.guard(extension, u.shape)
+        return self.errors.guard(extension, u.shape)
 
     def _solve_interior(self, y: Array) -> Array:
         """Return K_II⁻¹ y_I of every subdomain, zero elsewhere, (n,)."""
@@ -162,9 +165,17 @@ class FormedSchurOperator(SchurOperator):
 
     is_interior_eliminated = True
 
-    def __init__(self, torn: Torn, by_subdomain: list[FormedSchurComplement]) -> None:
-        """Take over S_i of all subdomains of this process."""
-        super().__init__(torn, [S_i.subdomain for S_i in by_subdomain])
+    def __init__(
+        self, torn: Torn, by_subdomain: list[FormedSchurComplement], errors: DeferredErrors
+    ) -> None:
+        """Take over S_i of all subdomains of this process.
+
+        Args:
+            torn: The torn matrix.
+            by_subdomain: S_i of each subdomain.
+            errors: Store for the errors of the methods for iterations.
+        """
+        super().__init__(torn, [S_i.subdomain for S_i in by_subdomain], errors)
         self._by_subdomain = by_subdomain
 
     @property
@@ -195,7 +206,11 @@ class AppliedSchurOperator(SchurOperator):
     is_interior_eliminated = False
 
     def __init__(
-        self, torn: Torn, by_subdomain: list[AppliedSchurComplement], rows: InterfaceRows | None
+        self,
+        torn: Torn,
+        by_subdomain: list[AppliedSchurComplement],
+        rows: InterfaceRows | None,
+        errors: DeferredErrors,
     ) -> None:
         """Take over S_i of all subdomains of this process, and the rows of K.
 
@@ -203,8 +218,9 @@ class AppliedSchurOperator(SchurOperator):
             torn: The torn matrix.
             by_subdomain: S_i of each subdomain.
             rows: Rows of K on the interface; None if no K_II is factored, and S is not applied.
+            errors: Store for the errors of the methods for iterations.
         """
-        super().__init__(torn, [S_i.subdomain for S_i in by_subdomain])
+        super().__init__(torn, [S_i.subdomain for S_i in by_subdomain], errors)
         self._by_subdomain = by_subdomain
         self._rows = rows
 
@@ -271,7 +287,7 @@ class InterfaceRows:
             self._columns.destroy()
 
 
-def create_schur_operator(torn: Torn, analysis: Analysis) -> SchurOperator:
+def create_schur_operator(torn: Torn, analysis: Analysis, errors: DeferredErrors) -> SchurOperator:
     """Factor all K_II of the current K, and form S if the interior is eliminated.
 
     Call it inside of ``on_subdomains``: it may fail on a single process.
@@ -279,6 +295,7 @@ def create_schur_operator(torn: Torn, analysis: Analysis) -> SchurOperator:
     Args:
         torn: The torn matrix.
         analysis: The subdomains, and how they are factored.
+        errors: Store for the errors of products and solves in iterations.
 
     Returns:
         S; the caller destroys it.
@@ -289,15 +306,19 @@ def create_schur_operator(torn: Torn, analysis: Analysis) -> SchurOperator:
     with Lifetime() as factors:  # destroyed if a later subdomain fails
         S: SchurOperator
         if analysis.is_interior_eliminated:
-            S = _create_formed(torn, analysis, factors)
+            S = FormedSchurOperator(torn, _form_all(torn, analysis, factors), errors)
         else:
-            S = _create_applied(torn, analysis, factors)
+            by_subdomain = _factor_interiors(torn, analysis, factors)
+            rows = _interface_rows(torn, analysis)
+            S = AppliedSchurOperator(torn, by_subdomain, rows, errors)
         factors.release()  # S owns them
     return S
 
 
-def _create_applied(torn: Torn, analysis: Analysis, factors: Lifetime) -> AppliedSchurOperator:
-    """Create S with the interior kept; ``factors`` owns all K_II factors until it returns."""
+def _factor_interiors(
+    torn: Torn, analysis: Analysis, factors: Lifetime
+) -> list[AppliedSchurComplement]:
+    """Return the S_i with the interior kept; ``factors`` owns the factors of K_II."""
     by_subdomain = []
     work = WorkSpace()
     for analysed in analysis.by_subdomain:
@@ -305,16 +326,20 @@ def _create_applied(torn: Torn, analysis: Analysis, factors: Lifetime) -> Applie
         if analysis.has_interior_factors:
             factor = factors.own(_factor_interior(torn, analysis, analysed, work)[0])
         by_subdomain.append(AppliedSchurComplement(torn.K, analysed.subdomain, factor))
-    rows: InterfaceRows | None = None
-    if analysis.has_interior_factors:
-        interface = interface_dofs(analysis.subdomains)
-        is_symmetric = analysis.interior_options.is_symmetric
-        rows = InterfaceRows(torn.K, interface, is_symmetric=is_symmetric)
-    return AppliedSchurOperator(torn, by_subdomain, rows)
+    return by_subdomain
 
 
-def _create_formed(torn: Torn, analysis: Analysis, factors: Lifetime) -> FormedSchurOperator:
-    """Create S with the interior eliminated; ``factors`` owns all K_II factors until it returns."""
+def _interface_rows(torn: Torn, analysis: Analysis) -> InterfaceRows | None:
+    """Return the rows of K on the interface; None if no K_II is factored."""
+    if not analysis.has_interior_factors:
+        return None
+    interface = interface_dofs(analysis.subdomains)
+    is_symmetric = analysis.interior_options.is_symmetric
+    return InterfaceRows(torn.K, interface, is_symmetric=is_symmetric)
+
+
+def _form_all(torn: Torn, analysis: Analysis, factors: Lifetime) -> list[FormedSchurComplement]:
+    """Return the S_i with the interior eliminated; ``factors`` owns the factors of K_II."""
     diagonal = np.abs(torn.diagonal())
     dense_work = WorkSpace()  # all S_i refer to it
     work = WorkSpace()  # of the factorisations of K_II; freed when this function returns
@@ -328,7 +353,7 @@ def _create_formed(torn: Torn, analysis: Analysis, factors: Lifetime) -> FormedS
                 entries = _schur_complement_by_solves(torn.K, s, factor)
             S_i = PackedMatrix(entries, len(s.interface), dense_work)
         by_subdomain.append(FormedSchurComplement(s, factor, S_i, diagonal[s.interface]))
-    return FormedSchurOperator(torn, by_subdomain)
+    return by_subdomain
 
 
 def _factor_interior(
