@@ -380,8 +380,9 @@ def _residuals(
         raise ValueError(_ABSENT.format(u.name))
     if rank > 1 or (rank == 1 and condense):
         raise ValueError(
-            f"F has {rank} arguments: give a residual or an energy; with condense=p an energy "
-            "Π(u, p) or the pair of its residuals."
+            f"F has {rank} arguments: give a residual or an energy, written in the Function u and "
+            "without a TrialFunction; with condense=p an energy Π(u, p), or the pair of its "
+            "residuals."
         )
     if rank == 1:
         return [F]

@@ -365,6 +365,18 @@ FORMS = {
         lambda w: {"F": ufl.inner(w.du, w.v) * ufl.dx, **ALONE},
         "F has 2 arguments: give a residual or an",
     ),
+    "energy-in-a-trial-function": (
+        lambda w: {"F": ufl.inner(w.du, w.du) * ufl.dx, **ALONE},
+        "F contains a TrialFunction: write it in the unknown",
+    ),
+    "energy-partly-in-a-trial-function": (
+        lambda w: {"F": w.energy + w.du[0] * ufl.dx},
+        "F contains a TrialFunction: write it in the unknown",
+    ),
+    "potential-in-a-trial-function": (
+        lambda w: {"energy": w.du[0] * ufl.dx},
+        "energy contains a TrialFunction",
+    ),
     "one-residual": (lambda w: {"F": w.F_u}, "F has 1 arguments: .*the pair of its residuals"),
     "nothing-condensed": (lambda w: ALONE, "F is a sequence of 2 forms: .*condense=p"),
     "three-residuals": (

@@ -216,9 +216,11 @@ def test_condition_of_another_kind(wall, has_potential):
         ({"lumen": Slide()}, "surface 'lumen' lies in no plane"),
         ({"outer": [Clamp(), Spring(1.0)]}, "'outer'.* holds a clamp and another condition"),
         ({"outer": [Spring(1.0), Spring(2.0)]}, "'outer'.* holds a condition twice"),
-        ({"outer": ["spring"]}, "'outer'.* holds 'spring': give Pressure, Spring"),
-        ({"outer": "clamp"}, "'outer'.* holds 'clamp': give Pressure, Spring"),
-        ({"outer": 3.0}, "'outer'.* holds 3.0: give Pressure, Spring"),
+        ({"outer": ["spring"]}, r"'outer'.* holds 'spring': give Pressure\(\), Spring\(stiffness"),
+        ({"outer": "clamp"}, r"'outer'.* holds 'clamp': give Pressure\(\), .* or Clamp\(\)\."),
+        ({"outer": 3.0}, r"'outer'.* holds 3.0: give Pressure\(\) .*set_pressure"),
+        ({"outer": Pressure}, r"'outer'.* the class Pressure: .* in parentheses, Pressure\(\)"),
+        ({"outer": [Spring]}, r"'outer'.* the class Spring: .*, Spring\(stiffness\)"),
     ],
 )
 def test_bad_conditions(wall, conditions, match):

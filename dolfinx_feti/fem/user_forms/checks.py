@@ -83,6 +83,30 @@ def check_forms(V: dolfinx.fem.FunctionSpace | None, **forms: tuple[ufl.Form, in
             )
 
 
+def check_trial_functions(**forms: object) -> None:
+    """Check that energies and residuals are not written in a TrialFunction, as linear forms are.
+
+    Args:
+        forms: A form or a sequence of forms, by the name of the user's argument; anything else is
+            not checked here.
+
+    Raises:
+        ValueError: A form has a TrialFunction, but no TestFunction.
+    """
+    for name, one_or_several in forms.items():
+        listed = one_or_several if isinstance(one_or_several, Sequence) else [one_or_several]
+        for form in listed:
+            if not isinstance(form, ufl.Form):
+                continue
+            numbers = {argument.number() for argument in form.arguments()}
+            if numbers == {1}:
+                raise ValueError(
+                    f"{name} contains a TrialFunction: write it in the unknown instead, the "
+                    "dolfinx.fem.Function u that is passed beside it. A nonlinear problem takes an "
+                    "energy, or a residual with a TestFunction; it derives the tangent itself."
+                )
+
+
 def shares_no_dofs(Q: dolfinx.fem.FunctionSpace) -> bool:
     """Return True if no two cells of any process share a dof of the space. Not collective.
 

@@ -20,6 +20,9 @@ __all__ = ["Pressure"]
 class Pressure(Condition):
     """A pressure that follows the deformed surface.
 
+    All surfaces under pressure share one value, which ``Boundary.set_pressure`` sets. The argument
+    is the share of it that acts on this surface, 1 by default, not a pressure in kPa.
+
     Example::
 
         from dolfinx_feti.wall import Clamp, apply_conditions

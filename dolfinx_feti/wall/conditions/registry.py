@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import Any, TypeAlias
 
 from dolfinx_feti.wall.casekeys import Key
@@ -42,8 +44,20 @@ def _checked(name: str, one_or_several: object) -> tuple[Condition, ...]:
     surface = f"conditions[{name!r}]"
     checked: list[Condition] = []
     for condition in listed:
+        if isinstance(condition, type) and issubclass(condition, Condition):
+            name_of_class = condition.__name__
+            raise ValueError(
+                f"{surface} holds the class {name_of_class}: give an object of it, with its "
+                f"arguments in parentheses, {_call(condition)}."
+            )
+        if isinstance(condition, Real):
+            raise ValueError(
+                f"{surface} holds {condition!r}: give Pressure() for a surface under pressure, and "
+                "set its value by boundary.set_pressure."
+            )
         if not isinstance(condition, Condition):
-            raise ValueError(f"{surface} holds {condition!r}: give {_either(KINDS)}.")
+            choices = _alternatives([_call(kind) for kind in KINDS])
+            raise ValueError(f"{surface} holds {condition!r}: give {choices}.")
         checked.append(condition)
     if len({type(condition) for condition in checked}) < len(checked):
         raise ValueError(f"{surface} holds a condition twice: give each kind once.")
@@ -96,9 +110,11 @@ def _case_name(kind: type[Condition]) -> str:
     return next(iter(kind.CASE_KEYS))
 
 
-def _either(kinds: Sequence[type[Condition]]) -> str:
-    """Return the names of classes for a message, ``A, B or C``."""
-    return _alternatives([kind.__name__ for kind in kinds])
+def _call(kind: type[Condition]) -> str:
+    """Return how to create a condition of a kind, for a message: ``Spring(stiffness)``."""
+    parameters = inspect.signature(kind).parameters.values()
+    required = [parameter.name for parameter in parameters if parameter.default is parameter.empty]
+    return f"{kind.__name__}({', '.join(required)})"
 
 
 def _alternatives(words: Sequence[str]) -> str:
