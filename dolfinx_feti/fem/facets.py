@@ -57,7 +57,30 @@ EXTRA_FACETS_HINT = (
 
 @dataclass(frozen=True, slots=True)
 class FacetSides:
-    """Sides of facets: each facet once for each of its cells.
+    """Sides of facets in owned cells: each facet once for each of its cells.
+
+    Attributes:
+        cell: Cell of each side, (n,).
+        local: Local number of the facet in it, (n,).
+        facet: Number of the facet over all processes, (n,).
+    """
+
+    cell: Indices
+    local: Indices
+    facet: Numbers
+
+    def pairs(self, is_selected: Mask) -> Indices:
+        """Return cell and local number of some sides, flattened as ``ufl.Measure`` expects, (2 k,).
+
+        Args:
+            is_selected: Mask of these sides, (n,).
+        """
+        return np.column_stack([self.cell, self.local])[is_selected].astype(np.int32).ravel()
+
+
+@dataclass(frozen=True, slots=True)
+class SideGeometry:
+    """Positions and normals of sides of facets, by which a surface is oriented.
 
     Attributes:
         facet: Number of the facet over all processes, (n,).
@@ -73,10 +96,10 @@ class FacetSides:
     ridge: Numbers
     direction: Array
 
-    def allgather(self, comm: MPI.Comm) -> FacetSides:
+    def allgather(self, comm: MPI.Comm) -> SideGeometry:
         """Return the sides of all processes, in the order of the processes. Collective."""
         parts = (self.facet, self.area, self.midpoint, self.ridge, self.direction)
-        return FacetSides(*(allgather_rows(part, comm) for part in parts))
+        return SideGeometry(*(allgather_rows(part, comm) for part in parts))
 
 
 def one_side(
@@ -116,28 +139,38 @@ def one_side(
             and a surface cannot be oriented: it branches, has one side only (a Möbius strip), or
             the mesh is a surface itself.
     """
-    cell, local, facet = _sides(mesh, facets)
+    sides = _sides(mesh, facets)
     if side is None:
-        is_selected = _oriented(mesh, cell, local, facet)
+        is_selected = _oriented(mesh, sides)
     elif isinstance(side, str):
         if side != "any":
             raise ValueError(f'side is {side!r}: give cells, or "any" if the side does not matter.')
-        is_selected = _first_sides(mesh, facet)
+        is_selected = _is_first_side(sides, mesh.comm)
     else:
-        is_selected = _on_side_of_user(cell, facet, side, mesh.comm)
-    return np.column_stack([cell, local])[is_selected].astype(np.int32).ravel()
+        is_selected = _is_on_side_of_user(sides, side, mesh.comm)
+    return sides.pairs(is_selected)
 
 
-def _sides(mesh: dolfinx.mesh.Mesh, facets: Integers) -> tuple[Indices, Indices, Numbers]:
+def facets_of_pairs(mesh: dolfinx.mesh.Mesh, pairs: Indices) -> Indices:
+    """Return the facet of each pair of a cell and the local number of a facet in it, (n,).
+
+    Args:
+        mesh: The mesh.
+        pairs: The pairs, flattened, as :func:`one_side` returns them, (2 n,).
+    """
+    tdim = mesh.topology.dim
+    mesh.topology.create_connectivity(tdim, tdim - 1)
+    links = mesh.topology.connectivity(tdim, tdim - 1)
+    cell, local = pairs.reshape(-1, 2).T
+    return np.asarray(links.array[links.offsets[cell] + local])
+
+
+def _sides(mesh: dolfinx.mesh.Mesh, facets: Integers) -> FacetSides:
     """Return the sides of facets in owned cells. Collective.
 
     Args:
         mesh: The mesh.
         facets: Facets of this process; those of all processes count.
-
-    Returns:
-        Cell of each side, (n,), the local number of the facet in it, (n,), and the number of the
-        facet over all processes, (n,).
     """
     topology = mesh.topology
     tdim = topology.dim
@@ -148,25 +181,24 @@ def _sides(mesh: dolfinx.mesh.Mesh, facets: Integers) -> tuple[Indices, Indices,
     all_numbers = np.unique(allgather_rows(local_numbers, mesh.comm))
     facets_of_cell = _global_numbers_of(mesh, tdim - 1)
     cell, local = np.nonzero(np.isin(facets_of_cell, all_numbers))
-    return cell.astype(np.int32), local.astype(np.int32), facets_of_cell[cell, local]
+    return FacetSides(cell.astype(np.int32), local.astype(np.int32), facets_of_cell[cell, local])
 
 
-def _on_side_of_user(cell: Indices, facet: Numbers, side: Integers, comm: MPI.Comm) -> Mask:
+def _is_on_side_of_user(sides: FacetSides, side: Integers, comm: MPI.Comm) -> Mask:
     """Return a mask of the sides in the user's cells, (n,). Collective.
 
     A facet of the boundary has one side, which is selected whether its cell is listed or not.
 
     Args:
-        cell: Cell of each side, (n,).
-        facet: Number of its facet over all processes, (n,).
+        sides: The sides of this process.
         side: Cells of the user.
         comm: Communicator of the mesh.
 
     Raises:
         ValueError: The list has both cells of a facet, or none.
     """
-    is_listed = np.isin(cell, side)
-    all_facets = allgather_rows(facet, comm)
+    is_listed = np.isin(sides.cell, side)
+    all_facets = allgather_rows(sides.facet, comm)
     all_listed = allgather_rows(is_listed, comm)
     numbers, index, n_cells = np.unique(all_facets, return_inverse=True, return_counts=True)
     n_listed = np.bincount(index, weights=all_listed, minlength=len(numbers))
@@ -178,64 +210,65 @@ def _on_side_of_user(cell: Indices, facet: Numbers, side: Integers, comm: MPI.Co
             "cells on one side of the surface, such as cell_tags.find(tag) of the material there, "
             f"and leave facets out that are not on that side. {EXTRA_FACETS_HINT}"
         )
-    is_interior = n_cells[np.searchsorted(numbers, facet)] == 2
+    is_interior = n_cells[np.searchsorted(numbers, sides.facet)] == 2
     return np.asarray(is_listed | ~is_interior)
 
 
-def _first_sides(mesh: dolfinx.mesh.Mesh, facet: Numbers) -> Mask:
-    """Return a mask of the first side of each facet over all processes, (n,). Collective.
+def _is_first_side(sides: FacetSides, comm: MPI.Comm) -> Mask:
+    """Return a mask of the sides that are the first of their facet over all processes, (n,).
 
-    Args:
-        mesh: The mesh.
-        facet: Number of the facet of each side over all processes, (n,).
+    Collective.
     """
-    comm = mesh.comm
-    _, first = np.unique(allgather_rows(facet, comm), return_index=True)
-    sides_before = comm.scan(len(facet)) - len(facet)  # of the processes before
-    return np.isin(sides_before + np.arange(len(facet)), first)
+    _, first = np.unique(allgather_rows(sides.facet, comm), return_index=True)
+    rows = _rows_of_this_process(len(sides.facet), comm)
+    return np.isin(np.arange(rows.start, rows.stop), first)
 
 
-def _oriented(mesh: dolfinx.mesh.Mesh, cell: Indices, local: Indices, facet: Numbers) -> Mask:
+def _rows_of_this_process(n: int, comm: MPI.Comm) -> slice:
+    """Return where n rows of this process are in the result of ``allgather_rows``. Collective."""
+    first = sum(comm.allgather(n)[: comm.rank])
+    return slice(first, first + n)
+
+
+def _oriented(mesh: dolfinx.mesh.Mesh, sides: FacetSides) -> Mask:
     """Return a mask of the sides on one side of each connected surface, (n,). Collective.
 
     Args:
         mesh: The mesh.
-        cell: Cell of each side, (n,).
-        local: Local number of the facet in it, (n,).
-        facet: Number of the facet over all processes, (n,).
+        sides: The sides of this process.
 
     Raises:
         ValueError: A surface cannot be oriented.
     """
     comm = mesh.comm
-    _, n_cells = np.unique(allgather_rows(facet, comm), return_counts=True)
+    n = len(sides.facet)
+    _, n_cells = np.unique(allgather_rows(sides.facet, comm), return_counts=True)
     if np.all(n_cells == 1):  # all on the boundary
-        return np.ones(len(cell), dtype=bool)
+        return np.ones(n, dtype=bool)
     if mesh.geometry.dim != mesh.topology.dim:
         raise ValueError(
             "facets lie inside a mesh that is a surface itself, whose normals do not distinguish "
             f"the two sides. {SIDE_REMEDY}"
         )
-    sides = _facet_sides(mesh, cell, local, facet).allgather(comm)
+    all_sides = _geometry(mesh, sides).allgather(comm)
     numbers, first, facet_of_side, n_cells = np.unique(
-        sides.facet, return_index=True, return_inverse=True, return_counts=True
+        all_sides.facet, return_index=True, return_inverse=True, return_counts=True
     )
     interior = np.flatnonzero(n_cells == 2)
     uses_second_side = np.zeros(len(numbers), dtype=bool)
-    uses_second_side[interior] = _uses_second_side(sides, first[interior])
-    is_second = np.ones(len(sides.facet), dtype=bool)
+    uses_second_side[interior] = _uses_second_side(all_sides, first[interior])
+    is_second = np.ones(len(all_sides.facet), dtype=bool)
     is_second[first] = False
     is_on_boundary = n_cells[facet_of_side] == 1
     is_selected = is_on_boundary | (is_second == uses_second_side[facet_of_side])
-    sides_before = comm.scan(len(cell)) - len(cell)  # of the processes before
-    return np.asarray(is_selected[sides_before : sides_before + len(cell)])
+    return np.asarray(is_selected[_rows_of_this_process(n, comm)])
 
 
-def _uses_second_side(sides: FacetSides, first: Numbers) -> Mask:
+def _uses_second_side(sides: SideGeometry, first: Numbers) -> Mask:
     """Return a mask of the facets that are integrated from their second side, (n,).
 
     Args:
-        sides: Facet sides of all processes.
+        sides: Sides of all processes.
         first: First side of each interior facet, (n,).
 
     Raises:
@@ -249,13 +282,13 @@ def _uses_second_side(sides: FacetSides, first: Numbers) -> Mask:
         )
     area = sides.area[first]
     midpoint = sides.midpoint[first]
-    is_selected = _is_selected(
+    is_selected = _is_integrated(
         label, np.concatenate([area, -area]), np.concatenate([midpoint, midpoint])
     )
     return np.asarray(~is_selected[label[:n]])
 
 
-def _is_selected(label: Numbers, area: Array, midpoint: Array) -> Mask:
+def _is_integrated(label: Numbers, area: Array, midpoint: Array) -> Mask:
     """Return a mask of the sides of connected surfaces that are integrated from, (labels,).
 
     A side has a mean normal, and a bulge: the mean of normal · (position − centre) over a length. A
@@ -325,31 +358,27 @@ def _side_labels(ridge: Numbers, direction: Array) -> Numbers:
     return np.asarray(label, dtype=np.int64)
 
 
-def _facet_sides(
-    mesh: dolfinx.mesh.Mesh, cell: Indices, local: Indices, facet: Numbers
-) -> FacetSides:
-    """Compute sides of facets of a mesh with the dimension of space. Collective.
+def _geometry(mesh: dolfinx.mesh.Mesh, sides: FacetSides) -> SideGeometry:
+    """Return the geometry of sides in a mesh with the dimension of space. Collective.
 
     Edges count as straight: only the vertices are used.
 
     Args:
         mesh: The mesh.
-        cell: Cell of each side, (n,).
-        local: Local number of the facet in it, (n,).
-        facet: Number of the facet over all processes, (n,).
+        sides: The sides of this process.
     """
     tdim = mesh.topology.dim
     cell_type = getattr(basix.CellType, mesh.topology.cell_name())
     n_vertices = len(basix.topology(cell_type)[0])
-    nodes = geometry_dofmap(mesh)[cell, :n_vertices]
+    nodes = geometry_dofmap(mesh)[sides.cell, :n_vertices]
     x = np.asarray(mesh.geometry.x[nodes][:, :, :tdim], dtype=np.float64)
-    area, midpoint = _areas_and_midpoints(cell_type, local, x)
+    area, midpoint = _areas_and_midpoints(cell_type, sides.local, x)
     if tdim == 1:  # a facet is a vertex, and has no ridges
-        no_ridges = np.zeros((len(cell), 0))
-        return FacetSides(facet, area, midpoint, no_ridges.astype(np.int64), no_ridges)
-    ridges = _global_numbers_of(mesh, tdim - 2)[cell]
-    ridge, direction = _ridges(cell_type, local, x, ridges, area, midpoint)
-    return FacetSides(facet, area, midpoint, ridge, direction)
+        no_ridges = np.zeros((len(sides.cell), 0))
+        return SideGeometry(sides.facet, area, midpoint, no_ridges.astype(np.int64), no_ridges)
+    ridges = _global_numbers_of(mesh, tdim - 2)[sides.cell]
+    ridge, direction = _ridges(cell_type, sides.local, x, ridges, area, midpoint)
+    return SideGeometry(sides.facet, area, midpoint, ridge, direction)
 
 
 def _areas_and_midpoints(

@@ -17,6 +17,7 @@ a n + b for the edge (a, b) with a < b.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,9 +80,9 @@ def remesh(x: Array, t: Numbers, *, size: float) -> tuple[Array, Numbers]:
     for _ in range(SWEEPS):
         x, t = _split(x, t, longest)
         x, t = _collapse(x, t, shortest=COLLAPSE_LENGTH * size, longest=longest)
-        t = _flip_by_valence(x, t)
+        t = _flip(x, t, _valence_gain)
         x = _smooth(x, t, original)
-    return x, _flip_by_angle(x, t)
+    return x, _flip(x, t, _angle_gain)
 
 
 # -- ranks of edges -------------------------------------------------------------------------------
@@ -288,65 +289,73 @@ def _merge(x: Array, t: Numbers, merges: Merges) -> tuple[Array, Numbers, Number
 # -- flips ----------------------------------------------------------------------------------------
 
 
-def _flip_by_valence(x: Array, t: Numbers) -> Numbers:
-    """Return triangles whose edges are flipped if this evens out the valences, (m, 3)."""
-    for _ in range(MAX_FLIP_ROUNDS):
+@dataclass(frozen=True, slots=True)
+class Flips:
+    """The flips of all interior edges of a surface, each for itself.
+
+    Attributes:
+        edges: The edges of the surface.
+        which: Numbers of the interior edges, (k,).
+        before: The two triangles of each, (k, 2, 3).
+        after: The two triangles that a flip makes of them, (k, 2, 3).
+    """
+
+    edges: Edges
+    which: Numbers
+    before: Numbers
+    after: Numbers
+
+    @classmethod
+    def of_surface(cls, t: Numbers) -> Flips:
+        """Return the flips of a surface with triangles t, (m, 3)."""
         edges = find_edges(t)
-        interior = np.flatnonzero(edges.is_interior)
-        gain = _valence_gain(len(x), edges, interior)
-        flipped = _flip_independent(x, t, edges, gain)
-        if flipped is None:
-            break
-        t = flipped
-    return t
+        which = np.flatnonzero(edges.is_interior)
+        return cls(edges, which, t[edges.triangles[which]], _flipped_triangles(t, edges, which))
 
 
-def _flip_by_angle(x: Array, t: Numbers) -> Numbers:
-    """Return triangles whose edges are flipped if this opens their smallest angle, (m, 3)."""
-    for _ in range(MAX_FLIP_ROUNDS):
-        edges = find_edges(t)
-        interior = np.flatnonzero(edges.is_interior)
-        before = t[edges.triangles[interior]]
-        after = _flipped_triangles(t, edges, interior)
-        gain = _smallest_angle(x, after) - _smallest_angle(x, before)
-        flipped = _flip_independent(x, t, edges, gain)
-        if flipped is None:
-            break
-        t = flipped
-    return t
+#: Gain by each flip, (k,), of points (n, 3) and k flips.
+Gain = Callable[[Array, Flips], Array]
 
 
-def _flip_independent(x: Array, t: Numbers, edges: Edges, gain: Array) -> Numbers | None:
-    """Return triangles after the flips with the largest gain in their neighbourhood, (m, 3).
+def _flip(x: Array, t: Numbers, gain_of: Gain) -> Numbers:
+    """Return triangles whose edges are flipped as long as a flip has a gain, (m, 3).
 
     Args:
         x: Points, (n, 3).
         t: Triangles, (m, 3).
-        edges: Their edges.
-        gain: Gain by the flip of each interior edge, (interior edges,).
+        gain_of: Gain by each flip.
+    """
+    for _ in range(MAX_FLIP_ROUNDS):
+        flips = Flips.of_surface(t)
+        is_chosen = _is_chosen(x, flips, gain_of(x, flips))
+        if not is_chosen.any():
+            break
+        t = t.copy()
+        t[flips.edges.triangles[flips.which[is_chosen]]] = flips.after[is_chosen]
+    return t
 
-    Returns:
-        The triangles; None if no flip is possible and useful.
+
+def _is_chosen(x: Array, flips: Flips, gain: Array) -> Mask:
+    """Return a mask of the possible flips with the largest gain in their neighbourhood, (k,).
+
+    Args:
+        x: Points, (n, 3).
+        flips: The flips.
+        gain: Gain by each of them, (k,).
     """
     n = len(x)
-    interior = np.flatnonzero(edges.is_interior)
-    before = t[edges.triangles[interior]]
-    after = _flipped_triangles(t, edges, interior)
-    new_ends = np.sort(edges.opposite[interior], axis=1)
+    edges = flips.edges
+    new_ends = np.sort(edges.opposite[flips.which], axis=1)
     exists = np.isin(_keys(new_ends, n), _keys(edges.ends, n))
     joins_rims = edges.on_rim(n)[new_ends].all(axis=1)
-    is_eligible = (gain > MIN_GAIN) & ~exists & ~joins_rims & _keeps_sides(x, before, after)
+    keeps_sides = _keeps_sides(x, flips.before, flips.after)
+    is_eligible = (gain > MIN_GAIN) & ~exists & ~joins_rims & keeps_sides
     gain_of_edge = np.zeros(len(edges.ends))
-    gain_of_edge[interior] = gain
+    gain_of_edge[flips.which] = gain
     is_eligible_edge = np.zeros(len(edges.ends), dtype=bool)
-    is_eligible_edge[interior] = is_eligible
+    is_eligible_edge[flips.which] = is_eligible
     rank = _rank(is_eligible_edge, -gain_of_edge)
-    is_chosen = is_eligible & _has_lowest_rank(n, edges.ends, rank)[interior]
-    if not is_chosen.any():
-        return None
-    flipped = t.copy()
-    flipped[edges.triangles[interior[is_chosen]]] = after[is_chosen]
-    return flipped
+    return is_eligible & _has_lowest_rank(n, edges.ends, rank)[flips.which]
 
 
 def _flipped_triangles(t: Numbers, edges: Edges, which: Numbers) -> Numbers:
@@ -368,22 +377,28 @@ def _flipped_triangles(t: Numbers, edges: Edges, which: Numbers) -> Numbers:
     return np.stack([np.column_stack([c, a, d]), np.column_stack([d, b, c])], axis=1)
 
 
-def _valence_gain(n: int, edges: Edges, which: Numbers) -> Array:
+def _valence_gain(x: Array, flips: Flips) -> Array:
     """Return the decrease of the sum of squared excess valences by each flip, (k,).
 
     The excess of a vertex is its number of edges over that in a regular triangulation.
 
     Args:
-        n: Number of vertices.
-        edges: The edges.
-        which: Numbers of the flipped edges, (k,).
+        x: Points, (n, 3); only their number counts.
+        flips: The flips.
     """
+    n = len(x)
+    edges = flips.edges
     regular = np.where(edges.on_rim(n), REGULAR_RIM_VALENCE, REGULAR_VALENCE)
     excess = np.bincount(edges.ends.ravel(), minlength=n) - regular
-    at_ends = excess[edges.ends[which]]  # these lose an edge
-    at_opposite = excess[edges.opposite[which]]  # these get one
+    at_ends = excess[edges.ends[flips.which]]  # these lose an edge
+    at_opposite = excess[edges.opposite[flips.which]]  # these get one
     gain = at_ends**2 - (at_ends - 1) ** 2 + at_opposite**2 - (at_opposite + 1) ** 2
     return np.asarray(gain.sum(axis=1), dtype=np.float64)
+
+
+def _angle_gain(x: Array, flips: Flips) -> Array:
+    """Return by how much each flip opens the smallest angle of its two triangles [rad], (k,)."""
+    return _smallest_angle(x, flips.after) - _smallest_angle(x, flips.before)
 
 
 def _smallest_angle(x: Array, pairs: Numbers) -> Array:

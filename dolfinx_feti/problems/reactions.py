@@ -29,7 +29,7 @@ import ufl
 
 from dolfinx_feti.fem.assembly import assemble_owned
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.facets import one_side
+from dolfinx_feti.fem.facets import facets_of_pairs, one_side
 from dolfinx_feti.runtime.arrays import Array, Indices, Mask
 from dolfinx_feti.runtime.collective import on_all, total_of
 
@@ -240,7 +240,7 @@ def _restricted(form: ufl.Form, mesh: dolfinx.mesh.Mesh, on_surface: Mask) -> uf
     marked: list[tuple[int, Indices]] = []  # dolfinx's data: number and sides of each subdomain
     for number, integral in enumerate(integrals):
         pairs = _sides(integral, mesh)
-        is_marked = on_surface[_side_facets(mesh, pairs)]
+        is_marked = on_surface[facets_of_pairs(mesh, pairs)]
         marked.append((number, pairs.reshape(-1, 2)[is_marked].ravel()))
     restricted = [
         integral.reconstruct(subdomain_id=number, subdomain_data=marked)
@@ -263,12 +263,3 @@ def _sides(integral: ufl.Integral, mesh: dolfinx.mesh.Mesh) -> Indices:
         return one_side(mesh, np.intersect1d(tagged, exterior), side="any")
     selected = [np.asarray(pairs, dtype=np.int32) for number, pairs in data if number in numbers]
     return np.concatenate([*selected, np.zeros(0, dtype=np.int32)])
-
-
-def _side_facets(mesh: dolfinx.mesh.Mesh, pairs: Indices) -> Indices:
-    """Return the facet of each pair of a cell and the number of a facet in it, (pairs,)."""
-    tdim = mesh.topology.dim
-    mesh.topology.create_connectivity(tdim, tdim - 1)
-    of_cell = mesh.topology.connectivity(tdim, tdim - 1)
-    cell, number = pairs.reshape(-1, 2).T
-    return np.asarray(of_cell.array[of_cell.offsets[cell] + number])

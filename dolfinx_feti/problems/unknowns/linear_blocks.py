@@ -23,10 +23,10 @@ from dolfinx_feti.problems.unknowns.block_forms import (
     without_parts,
     zero_load,
 )
-from dolfinx_feti.problems.unknowns.torn_unknown import coupling_message, torn_unknown
+from dolfinx_feti.problems.unknowns.torn_unknown import coupling_message, torn_first
 from dolfinx_feti.scalars.derivatives import with_trial
 from dolfinx_feti.scalars.equations import ScalarEquation
-from dolfinx_feti.scalars.real_spaces import constant_of, is_real, unit_values
+from dolfinx_feti.scalars.real_spaces import constant_of, unit_values
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,22 +81,19 @@ def arrange_linear(
     else:
         unknowns = [dolfinx.fem.Function(_test_space(rows, loads, i)) for i in range(n)]
 
-    # numbers of the unknowns that are no scalars; in ``order`` the torn one comes first
-    numbers = [i for i, w in enumerate(unknowns) if not is_real(w.function_space)]
-    spaces = [unknowns[i].function_space for i in numbers]
-    torn = numbers[torn_unknown(spaces, "a", [rows, loads])]
-    order = [torn, *(i for i in numbers if i != torn)]
+    order = torn_first(unknowns, "a", [rows, loads])
+    torn = unknowns[order[0]]
     fields = tuple(unknowns[i] for i in order[1:])
 
     equations = _equations(rows, loads, unknowns, order)
     blocks = [[rows[i][j] for j in order] for i in order]
     block_loads = [loads[i] for i in order]
     if block_loads[0] is None:
-        block_loads[0] = zero_load(unknowns[torn].function_space)
+        block_loads[0] = zero_load(torn.function_space)
     return LinearBlocks(
         a=blocks if fields else blocks[0][0],
         L=block_loads if fields else block_loads[0],
-        u=unknowns[torn],
+        u=torn,
         fields=fields,
         equations=equations,
         unknowns=tuple(unknowns),

@@ -24,10 +24,10 @@ from dolfinx_feti.problems.unknowns.block_forms import (
     only_entry,
     without_part,
 )
-from dolfinx_feti.problems.unknowns.torn_unknown import coupling_message, torn_unknown
+from dolfinx_feti.problems.unknowns.torn_unknown import coupling_message, torn_first
 from dolfinx_feti.scalars.derivatives import with_trial
 from dolfinx_feti.scalars.equations import ScalarEquation, ScalarTangent
-from dolfinx_feti.scalars.real_spaces import is_real, separate_scalars, unit_values
+from dolfinx_feti.scalars.real_spaces import separate_scalars, unit_values
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,16 +73,12 @@ def arrange_nonlinear(
         raise ValueError("u holds a Function twice: give each unknown once.")
     energy_or_residuals = _split_residuals(F, len(unknowns))
 
-    # numbers of the unknowns that are no scalars; in ``order`` the torn one comes first
-    numbers = [i for i, w in enumerate(unknowns) if not is_real(w.function_space)]
-    spaces = [unknowns[i].function_space for i in numbers]
-    torn = numbers[torn_unknown(spaces, "u", [energy_or_residuals, J])]
-    order = [torn, *(i for i in numbers if i != torn)]
+    order = torn_first(unknowns, "u", [energy_or_residuals, J])
     fields = tuple(unknowns[i] for i in order[1:])
 
     tangent = None if J is None else tangent_blocks(J, unknowns)
     equations: tuple[ScalarEquation, ...] = ()
-    if len(numbers) < len(unknowns):
+    if len(order) < len(unknowns):
         energy_or_residuals, constants, separate = separate_scalars(energy_or_residuals, unknowns)
         equations = tuple(separate)
         if tangent is not None:
@@ -91,14 +87,14 @@ def arrange_nonlinear(
 
     arranged_F = energy_or_residuals
     if is_sequence(energy_or_residuals):
-        by_number = _residuals_by_number(energy_or_residuals, numbers, unknowns)
+        by_number = _residuals_by_number(energy_or_residuals, sorted(order), unknowns)
         residuals = [by_number[i] for i in order]
         arranged_F = residuals if fields else residuals[0]
     arranged_J: Any = None
     if tangent is not None:
         blocks = [[tangent[i][j] for j in order] for i in order]
         arranged_J = blocks if fields else blocks[0][0]
-    return NonlinearBlocks(arranged_F, unknowns[torn], fields, arranged_J, equations)
+    return NonlinearBlocks(arranged_F, unknowns[order[0]], fields, arranged_J, equations)
 
 
 def _arrange_one(

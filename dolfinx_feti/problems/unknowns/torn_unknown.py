@@ -18,6 +18,24 @@ from dolfinx_feti.problems.unknowns.alternatives import (
     alternative_for,
     has_interior_facets,
 )
+from dolfinx_feti.scalars.real_spaces import is_real
+
+
+def torn_first(unknowns: Sequence[dolfinx.fem.Function], name: str, forms: object) -> list[int]:
+    """Return the numbers of the unknowns that are no scalars, the torn one first.
+
+    Args:
+        unknowns: All unknowns.
+        name: Name of the argument, for the message.
+        forms: Forms of the problem, by which the message chooses its advice.
+
+    Raises:
+        ValueError: No unknown can be torn, or several.
+    """
+    numbers = [i for i, w in enumerate(unknowns) if not is_real(w.function_space)]
+    spaces = [unknowns[i].function_space for i in numbers]
+    torn = numbers[torn_unknown(spaces, name, forms)]
+    return [torn, *(i for i in numbers if i != torn)]
 
 
 def torn_unknown(spaces: Sequence[dolfinx.fem.FunctionSpace], name: str, forms: object) -> int:
