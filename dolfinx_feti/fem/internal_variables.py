@@ -73,8 +73,8 @@ class InternalVariables:
             raise ValueError(f"which={which!r}: choose 'all', 'in_forces' or 'recorded'.")
         new_values = {}
         for variable in self.variables:
-            kind = "in_forces" if variable.affects_forces else "recorded"
-            if which in ("all", kind):
+            group = "in_forces" if variable.affects_forces else "recorded"
+            if which in ("all", group):
                 ξ = variable.function
                 new_values[ξ] = dolfinx.fem.Function(ξ.function_space)
                 new_values[ξ].interpolate(variable.update)

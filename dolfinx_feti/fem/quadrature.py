@@ -100,9 +100,9 @@ def match_quadrature_degree(energy: ufl.Form, residual: ufl.Form) -> ufl.Form:
         energy: Energy; its explicit degrees stay.
         residual: Its residual, the derivative of the energy.
     """
-    kinds = {i.integral_type() for i in energy.integrals() if not _has_rule(i)}
-    same_kinds = [i for i in residual.integrals() if i.integral_type() in kinds]
-    degree_of_part = _degrees(ufl.Form(same_kinds))
+    types = {i.integral_type() for i in energy.integrals() if not _has_rule(i)}
+    of_these_types = [i for i in residual.integrals() if i.integral_type() in types]
+    degree_of_part = _degrees(ufl.Form(of_these_types))
 
     def matched(integral: ufl.Integral) -> ufl.Integral:
         degrees = [degree_of_part[key] for key in _domains(integral) if key in degree_of_part]

@@ -116,16 +116,17 @@ def check_integral_types(form: ufl.Form) -> None:
     Raises:
         ValueError: It has others; they couple subdomains, or dolfinx is too old for them.
     """
-    kinds = {integral.integral_type() for integral in form.integrals()}
-    if "vertex" in kinds and not compat.has_vertex_integrals():
+    types = {integral.integral_type() for integral in form.integrals()}
+    if "vertex" in types and not compat.has_vertex_integrals():
         raise ValueError(
             "The form has integrals over vertices, dP, which dolfinx assembles from 0.10 on: "
             "install that, or add the forces to the vector that problem.solver.solve takes."
         )
-    for kind in sorted(kinds - {"cell", "exterior_facet", "vertex"}):
+    for integral_type in sorted(types - {"cell", "exterior_facet", "vertex"}):
+        name = integral_type.replace("_", "-")
         raise ValueError(
-            f"The form has {kind.replace('_', '-')} integrals, which couple subdomains and have "
-            "no torn counterpart: use a form with dx and ds only, and dP over vertices. For values "
+            f"The form has {name} integrals, which couple subdomains and have no torn "
+            "counterpart: use a form with dx and ds only, and dP over vertices. For values "
             "on a surface inside, as of a membrane, use a ds with the cells of "
             "dolfinx_feti.fem.facets.one_side. For jumps and gradients across facets, solve the "
             "problem by dolfinx, with MUMPS."

@@ -25,9 +25,8 @@ from dolfinx_feti.meshes.tube import (
     element_counts,
 )
 from dolfinx_feti.runtime.arrays import Array, Numbers
-from dolfinx_feti.runtime.collective import on_root_only
 from dolfinx_feti.wall.wall import Wall
-from dolfinx_feti.wall.wall_arrays import WallArrays, distribute
+from dolfinx_feti.wall.wall_arrays import WallArrays, create_on_root, distribute
 
 __all__ = ["create_brick_tube"]
 
@@ -85,7 +84,7 @@ def create_brick_tube(
             length, counts, growth=growth, quarter=quarter, order=order, tetrahedra=tetrahedra
         )
 
-    return distribute(on_root_only(create, comm), comm)
+    return distribute(create_on_root(create, comm), comm)
 
 
 def _create_arrays(

@@ -26,9 +26,8 @@ from ufl.core.expr import Expr
 from dolfinx_feti.meshes.lattice import lattice_cells
 from dolfinx_feti.meshes.tags import SURFACE_TAGS, tags_of
 from dolfinx_feti.runtime.arrays import Array, Numbers
-from dolfinx_feti.runtime.collective import on_root_only
 from dolfinx_feti.wall.wall import Wall
-from dolfinx_feti.wall.wall_arrays import WallArrays, distribute
+from dolfinx_feti.wall.wall_arrays import WallArrays, create_on_root, distribute
 
 __all__ = ["LONG", "THICKNESS", "create_ellipsoid", "ellipsoid_fibre"]
 
@@ -67,7 +66,7 @@ def create_ellipsoid(comm: MPI.Comm, n: int, through: int | None = None) -> Wall
         through: Bricks through the wall; n if not given.
     """
     n_through = n if through is None else through
-    arrays = on_root_only(lambda: _create_arrays(n, n_through), comm)
+    arrays = create_on_root(lambda: _create_arrays(n, n_through), comm)
     return distribute(arrays, comm)
 
 

@@ -3,13 +3,14 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Arterial walls: named layers and surfaces, conditions on these, and directions of fibres.
 
-``wall`` is a mesh with ``names``. ``xdmf`` and ``wallfile`` read it from files, with ``checks``;
-``wall_arrays`` is a wall before it is distributed. A ``case`` is a wall with materials and
+``wall`` is a mesh with ``names``. ``wall_arrays`` is a wall before it is distributed; ``wallfile``
+reads one from a file: ``xdmf`` on all processes, ``gmshfile`` and ``meshiofile`` on one, which
+share ``reading``. ``checks`` refuses broken meshes. A ``case`` is a wall with materials and
 ``conditions``; ``casefile`` reads it from one TOML file with the keys of ``casekeys``. ``laplace``
 and ``fibres`` compute directions of fibres, and ``opening`` residual stress.
 
-In the order of the data: names, wall, checks, xdmf, wall_arrays, wallfile, casekeys, conditions,
-case, casefile, laplace, fibres, opening.
+In the order of the data: names, wall, checks, xdmf, wall_arrays, reading, gmshfile, meshiofile,
+wallfile, casekeys, conditions, case, casefile, laplace, fibres, opening.
 """
 
 from dolfinx_feti.wall.case import Case, Filling, LayerMaterial

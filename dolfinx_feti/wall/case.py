@@ -126,8 +126,8 @@ class Case:
                 f"[loading] rate = {self.rate}: has no effect without a dashpot and a pressure"
             )
 
-    def _surfaces_with(self, kind: type) -> set[str]:
-        """Return the names of the surfaces that have a condition of a kind."""
+    def _surfaces_with(self, kind: type[Condition]) -> set[str]:
+        """Return the names of the surfaces that have a condition of a kind, such as Pressure."""
         return {
             name
             for name, conditions in self.conditions.items()
@@ -167,19 +167,19 @@ def _check_axis(axis: str | None) -> None:
         raise ValueError(f"axis={axis!r}: choose 'x', 'y', 'z' or None")
 
 
-def _check_names(table: str, kind: str, names: Iterable[str], of_wall: Iterable[str]) -> None:
+def _check_names(table: str, part: str, names: Iterable[str], of_wall: Iterable[str]) -> None:
     """Raise a ValueError for the first name of a table that the wall does not have.
 
     Args:
         table: Table of the file, for the message.
-        kind: ``layer`` or ``surface``, for the message.
+        part: ``layer`` or ``surface``, for the message.
         names: Names in the table.
         of_wall: Names of the wall.
     """
     for name in names:
         if name not in of_wall:
             raise ValueError(
-                f"[{table}.{name}]: the wall has no {kind} {name!r}; it has "
+                f"[{table}.{name}]: the wall has no {part} {name!r}; it has "
                 f"{', '.join(of_wall) or 'none'}{suggestion(name, of_wall)}"
             )
 

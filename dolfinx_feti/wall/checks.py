@@ -25,8 +25,8 @@ from dolfinx_feti.wall.wall import Wall
 __all__ = ["CELLS", "check_cells", "check_faces", "check_rows", "orientations"]
 
 
-class CellKind(NamedTuple):
-    """A kind of cells of a wall.
+class WallCell(NamedTuple):
+    """A type of cell that walls have.
 
     Attributes:
         shape: basix's name of the cell.
@@ -39,12 +39,12 @@ class CellKind(NamedTuple):
     facet_nodes: int
 
 
-#: Kinds of cells by their number of nodes.
+#: Types of cells of walls by their number of nodes.
 CELLS = {
-    4: CellKind("tetrahedron", 1, 3),
-    10: CellKind("tetrahedron", 2, 6),
-    8: CellKind("hexahedron", 1, 4),
-    27: CellKind("hexahedron", 2, 9),
+    4: WallCell("tetrahedron", 1, 3),
+    10: WallCell("tetrahedron", 2, 6),
+    8: WallCell("hexahedron", 1, 4),
+    27: WallCell("hexahedron", 2, 9),
 }
 
 #: Volume of a cell over the cube of its largest extent, below which the cell is flat: a margin over
@@ -109,14 +109,16 @@ def check_faces(mesh_name: object, cells: Integers, facets: Integers, comm: MPI.
         ValueError: Something is wrong. On all processes.
     """
     cell_name, facet_name = _plural_names(cells)
-    kind = CELLS[cells.shape[1]]
-    has_other_nodes = facets.shape[1] != kind.facet_nodes  # the same on all processes
+    cell_type = CELLS[cells.shape[1]]
+    has_other_nodes = facets.shape[1] != cell_type.facet_nodes  # the same on all processes
     if has_other_nodes and comm.allreduce(len(facets)):
         raise ValueError(
-            f"{mesh_name} has {cell_name} of order {kind.order}, but facets with {facets.shape[1]} "
-            f"nodes: a wall has {facet_name} of that order"
+            f"{mesh_name} has {cell_name} of order {cell_type.order}, but facets with "
+            f"{facets.shape[1]} nodes: a wall has {facet_name} of that order"
         )
-    corners = np.array(basix.topology(getattr(basix.CellType, kind.shape))[2])  # (faces, corners)
+    corners = np.array(
+        basix.topology(getattr(basix.CellType, cell_type.shape))[2]
+    )  # (faces, corners)
     n = 1 + comm.allreduce(int(cells.max(initial=0)), op=MPI.MAX)
     faces_of_cells = _gathered(cells[:, corners].reshape(-1, corners.shape[1]), n, comm)
     faces, cells_of_face = np.unique(faces_of_cells, axis=0, return_counts=True)
@@ -173,11 +175,11 @@ def orientations(points: Array, cells: Integers) -> tuple[Numbers, Mask]:
         The sign of det ∂x/∂ξ in each cell, 0 if it changes in the cell, (cells,); and a mask of the
         cells without volume, (cells,).
     """
-    kind = CELLS[cells.shape[1]]
-    cell = getattr(basix.CellType, kind.shape)
+    cell_type = CELLS[cells.shape[1]]
+    cell = getattr(basix.CellType, cell_type.shape)
     variant = basix.LagrangeVariant.equispaced
-    element = basix.create_element(basix.ElementFamily.P, cell, kind.order, variant)
-    is_affine = kind.shape == "tetrahedron" and kind.order == 1
+    element = basix.create_element(basix.ElementFamily.P, cell, cell_type.order, variant)
+    is_affine = cell_type.shape == "tetrahedron" and cell_type.order == 1
     rule = basix.make_quadrature(cell, 0 if is_affine else ORIENTATION_DEGREE)
     ξ, weights = (np.asarray(part, np.float64) for part in rule)
     dφ = np.asarray(element.tabulate(1, ξ), np.float64)[1:, :, :, 0]  # (3, points, nodes)

@@ -32,7 +32,7 @@ from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.values import require_type
 from dolfinx_feti.wall.laplace import gradient, solve_laplace
-from dolfinx_feti.wall.wall import Wall, area, by_layer, facets, openings
+from dolfinx_feti.wall.wall import Wall, area, by_layer, openings, require_surface
 
 __all__ = [
     "ANGLES",
@@ -135,7 +135,7 @@ def solve_potentials(
     names = openings(wall) if ends is None else list(ends)
     surfaces = [inner, outer, *names]
     for name in surfaces:
-        facets(wall, name)  # raises an error if it does not exist
+        require_surface(wall, name)
     if len(set(surfaces)) < len(surfaces):
         raise ValueError(f"inner={inner!r}, outer={outer!r} and ends={names} name a surface twice")
     if len(names) < 2:

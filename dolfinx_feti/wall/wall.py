@@ -139,14 +139,19 @@ def _named(groups: list[Group], tags: dolfinx.mesh.MeshTags, comm: MPI.Comm) -> 
     )
 
 
+def require_surface(wall: Wall, name: str) -> None:
+    """Raise a ValueError if a wall has no surface of a name."""
+    if name not in wall.surfaces:
+        raise ValueError(f"The wall has no surface {name!r}; it has {', '.join(wall.surfaces)}")
+
+
 def facets(wall: Wall, name: str) -> Indices:
     """Return the facets of a surface on this process, ghosts included, (n,).
 
     Raises:
         ValueError: The wall has no surface of this name.
     """
-    if name not in wall.surfaces:
-        raise ValueError(f"The wall has no surface {name!r}; it has {', '.join(wall.surfaces)}")
+    require_surface(wall, name)
     return np.asarray(wall.facet_tags.find(wall.surfaces[name]))
 
 
@@ -165,7 +170,7 @@ def _opening_order(name: str) -> tuple[float, str]:
 
 def area(wall: Wall, name: str) -> float:
     """Return the area of a surface [mm²]. Collective."""
-    facets(wall, name)  # raises an error if it does not exist
+    require_surface(wall, name)
     one = dolfinx.fem.Constant(wall.mesh, np.float64(1.0))
     ds = surface_measure(wall)(wall.surfaces[name])
     form = on_all(lambda: dolfinx.fem.form(one * ds), wall.mesh.comm)

@@ -8,6 +8,7 @@ PETSc's log shows the phases ``WallPartition`` and ``WallTags``.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -20,17 +21,20 @@ import dolfinx.io
 import ufl
 
 from dolfinx_feti.runtime.arrays import Array, Numbers
+from dolfinx_feti.runtime.collective import on_root_only
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.scotch import repeatable_partitions
 from dolfinx_feti.wall.checks import CELLS
 from dolfinx_feti.wall.wall import Wall
 
-__all__ = ["WallArrays", "distribute", "first_or_empty"]
+__all__ = ["WallArrays", "create_on_root", "distribute"]
 
 
 @dataclass(frozen=True, slots=True)
 class WallArrays:
     """A wall that is not distributed: points, cells and tagged facets.
+
+    One process has all of it.
 
     Attributes:
         points: Coordinates, (n, 3), in millimetres or in the unit of a file.
@@ -51,15 +55,46 @@ class WallArrays:
     surface_names: dict[str, int]
 
 
-def distribute(arrays: WallArrays | None, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
+def create_on_root(create: Callable[[], WallArrays], comm: MPI.Comm) -> WallArrays:
+    """Create a wall on the first process; the others get its names, without points and cells.
+
+    Args:
+        create: Creates the wall; called on the first process only.
+        comm: Communicator.
+
+    Returns:
+        Arrays for :func:`distribute`.
+
+    Raises:
+        Exception: The error of ``create``, on all processes.
+
+    Note:
+        Collective.
+    """
+    on_first = on_root_only(create, comm)
+    empty: WallArrays | None = None
+    if on_first is not None:
+        empty = replace(
+            on_first,
+            points=on_first.points[:0],
+            cells=on_first.cells[:0],
+            cell_tags=on_first.cell_tags[:0],
+            facets=on_first.facets[:0],
+            facet_tags=on_first.facet_tags[:0],
+        )
+    empty_on_all: WallArrays = comm.bcast(empty, root=0)
+    return empty_on_all if on_first is None else on_first
+
+
+def distribute(arrays: WallArrays, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
     """Create the distributed mesh and the tags of a wall. Collective.
 
     Args:
-        arrays: The wall on the first process; not used on the others.
+        arrays: The wall on the first process, and one without cells and facets on the others, see
+            :func:`create_on_root`.
         comm: Communicator of the mesh.
         scale: Number of millimetres in the unit of the points.
     """
-    arrays = first_or_empty(arrays, comm)
     used = np.unique(arrays.cells)
     number = np.full(len(arrays.points), -1)  # points of no cell have no number
     number[used] = np.arange(len(used))
@@ -76,30 +111,6 @@ def distribute(arrays: WallArrays | None, comm: MPI.Comm, *, scale: float = 1.0)
         cell_tags = _distribute_tags(mesh, 3, cells, arrays.cell_tags)
         facet_tags = _distribute_tags(mesh, 2, facets, arrays.facet_tags)
     return Wall(mesh, cell_tags, facet_tags, arrays.layer_names, arrays.surface_names)
-
-
-def first_or_empty(arrays: WallArrays | None, comm: MPI.Comm) -> WallArrays:
-    """Return the wall on the first process, and one with its names only on all others. Collective.
-
-    Args:
-        arrays: The wall on the first process; not used on the others.
-        comm: Communicator.
-    """
-    empty: WallArrays | None = None
-    if comm.rank == 0:
-        assert arrays is not None
-        empty = replace(
-            arrays,
-            points=arrays.points[:0],
-            cells=arrays.cells[:0],
-            cell_tags=arrays.cell_tags[:0],
-            facets=arrays.facets[:0],
-            facet_tags=arrays.facet_tags[:0],
-        )
-    names_of_first: WallArrays = comm.bcast(empty, root=0)
-    if comm.rank == 0 and arrays is not None:
-        return arrays
-    return names_of_first
 
 
 def _distribute_tags(

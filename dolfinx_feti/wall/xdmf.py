@@ -159,8 +159,8 @@ def _check_tags(wall: Wall, n_facets: int) -> None:
         else:
             is_incomplete = bool(present - named)  # some layers have no name
         if is_incomplete or named - present:
-            kind = "layers" if tags.dim == 3 else "surfaces"
-            raise ValueError(f"its {kind} are not those of its mesh, or of its names")
+            table = "layers" if tags.dim == 3 else "surfaces"
+            raise ValueError(f"its {table} are not those of its mesh, or of its names")
 
 
 def write_wall(path: Path | str, wall: Wall) -> None:

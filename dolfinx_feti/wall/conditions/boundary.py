@@ -30,7 +30,7 @@ from dolfinx_feti.wall.conditions.condition import (
 )
 from dolfinx_feti.wall.conditions.potential import PressureLoad, find_potential
 from dolfinx_feti.wall.conditions.registry import Conditions, by_surface
-from dolfinx_feti.wall.wall import AXES, Wall, extent, facets
+from dolfinx_feti.wall.wall import AXES, Wall, extent, facets, require_surface
 
 __all__ = ["Boundary", "Prestretch", "apply_conditions"]
 
@@ -235,15 +235,15 @@ def _apply(
     contributions: list[Contribution] = []
     loads: list[PressureLoad] = []
     for name, on_surface in conditions.items():
-        facets(wall, name)  # raises an error if there is no such surface
+        require_surface(wall, name)
+        if any(condition.NEEDS_BOUNDARY for condition in on_surface):
+            _check_outside(wall, name)
         surface = Surface(wall, name, state)
         for condition in on_surface:
             contribution = condition.contribution(surface)
             contributions.append(contribution)
             if contribution.pressure_share is not None:
                 loads.append(PressureLoad(contribution.pressure_share, surface.ds))
-        if any(condition.NEEDS_BOUNDARY for condition in on_surface):
-            _check_outside(wall, name)
     return contributions, loads
 
 
