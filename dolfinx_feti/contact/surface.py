@@ -44,7 +44,6 @@ from ufl.core.expr import Expr
 
 from dolfinx_feti.contact.points import FacetQuadratureElement
 from dolfinx_feti.fem.compiler import Compiler
-from dolfinx_feti.fem.facets import facets_of_pairs
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Indices
 
@@ -266,7 +265,9 @@ class ContactSurface:
         mesh = self._mesh
         tdim = self._mesh.topology.dim
         facets = self._facets()
-        numbers = facets_of_pairs(mesh, facets.ravel())
+        mesh.topology.create_connectivity(tdim, tdim - 1)
+        links = mesh.topology.connectivity(tdim, tdim - 1)
+        numbers = links.array[links.offsets[facets[:, 0]] + facets[:, 1]]
         order = np.argsort(numbers, kind="stable")
         submesh, parents = compat.create_submesh(mesh, tdim - 1, numbers[order])
         kind = getattr(basix.CellType, submesh.topology.cell_name())

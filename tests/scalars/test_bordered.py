@@ -15,7 +15,6 @@ from hand_torn import softened
 from dolfinx_feti import FETI
 from dolfinx_feti.scalars.border import Border
 from dolfinx_feti.scalars.bordered import BorderedSolver
-from dolfinx_feti.scalars.springs import PointSprings
 
 Reason = PETSc.KSP.ConvergedReason
 GRID = case((3, 2), (3, 3), 2)
@@ -128,19 +127,6 @@ def test_floating_body(grid, form, rolls, torn_grid, create_ksp):
     system = (rng.standard_normal(len(B)), B, modes, np.zeros((m, m)), rng.standard_normal(m))
     ksp = create_ksp(problem.A, feti_formulation=form, ksp_rtol=RTOL)
     check(problem, ksp, system)
-
-
-def test_forces_of_springs_need_no_solve(torn_grid):
-    """X = −A⁻¹ E with the springs in A: the copies of a motion count once in its assembled dofs."""
-    problem = torn_grid(fixed=lambda x: np.zeros(len(x), dtype=bool), **GRID)
-    first, end = problem.A.getOwnershipRange()
-    springs = PointSprings(problem.A)
-    no_columns = np.zeros((end - first, 0))
-    border_of_springs = springs.extend(Border(no_columns, no_columns, np.zeros((0, 0))))
-    E = -whole(border_of_springs.B)
-    κ = 1.0 / np.diag(border_of_springs.D)
-    A = problem.matrix + E * κ @ E.T
-    equal(A @ whole(springs.X), -E, 1e-9)
 
 
 @forms
