@@ -272,9 +272,14 @@ def tear(
     return HandTorn(A, K, dofs, x, modes, dirichlet, local)
 
 
+def subdomains_of(rank: int, count: int) -> list[int]:
+    """Return the numbers of the subdomains of a process, out of ``count``; there may be none."""
+    return [i for i in range(count) if i * COMM.size // count == rank]
+
+
 def own_subdomains(count: int) -> list[int]:
     """Return the numbers of the subdomains of this process, out of ``count``."""
-    return [i for i in range(count) if i * COMM.size // count == COMM.rank]
+    return subdomains_of(COMM.rank, count)
 
 
 def brick(
@@ -293,7 +298,17 @@ def brick(
 def assembled(
     cells: Sequence[Indices], matrices: Sequence[Array], components: int
 ) -> tuple[Array, Array]:
-    """Assemble the matrices of cells with the given nodes; return the pattern and the matrix."""
+    """Assemble the matrices of cells.
+
+    Args:
+        cells: Nodes of each cell, (nodes of a cell,).
+        matrices: Matrix of each cell, (dofs of a cell, dofs of a cell).
+        components: Number of components of a node.
+
+    Returns:
+        Pattern of the assembled matrix, with ones where it may have entries, and the matrix,
+        (n, n) each.
+    """
     size = (1 + max(nodes.max() for nodes in cells)) * components
     K = np.zeros((size, size))
     pattern = np.zeros((size, size))
@@ -305,7 +320,7 @@ def assembled(
 
 
 def element(dim: int, components: int) -> Array:
-    """Return the stiffness of a unit cell with multilinear shape functions.
+    """Return the stiffness of a unit cell with multilinear shape functions, (dofs, dofs).
 
     These are products over the axes, and so are their integrals.
     """

@@ -46,25 +46,27 @@ def cg(
 
 
 def create(
-    pattern: Pattern, within: Lifetime, more: Callable[[Setup, Copies], list[Array]] | None = None
+    pattern: Pattern,
+    within: Lifetime,
+    further_columns: Callable[[Setup, Copies], list[Array]] | None = None,
 ) -> PrimalFormulation:
     """Build the primal form of a matrix.
 
     Args:
         pattern: Pattern of the torn matrix.
         within: Owner of PETSc's objects.
-        more: Returns further columns of the coarse space for each subdomain, (n_{Γ,i}, k) each; it
-            has E alone if not given.
+        further_columns: Returns further columns of the coarse space for each subdomain,
+            (n_{Γ,i}, k) each; it has E alone if not given.
     """
     setup = set_up(pattern, within, within)
     S = setup.operator
     copies = within.own(Copies(pattern.torn, S.interfaces, setup.delta, pattern.errors))
     U = [K_i.E_on_interface for K_i in setup.inverse.by_subdomain]
-    if more is not None:
-        U = [np.hstack(pair) for pair in zip(U, more(setup, copies), strict=True)]
+    if further_columns is not None:
+        U = [np.hstack(pair) for pair in zip(U, further_columns(setup, copies), strict=True)]
     V = within.own(AveragedBasis(copies, U))
-    made = PrimalPreconditioner(setup.delta, setup.inverse, setup.inertia, V)
-    return create_primal_formulation(pattern, S, made, within)
+    preconditioner = PrimalPreconditioner(setup.delta, setup.inverse, setup.inertia, V)
+    return create_primal_formulation(pattern, S, preconditioner, within)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,15 +119,15 @@ def reference(problem: HandTorn, form: PrimalFormulation) -> Dense:
     operator = form.operator
     copies = form.system.copies
     rows = whole(copies.dofs + torn.first_torn_dof)
-    held = whole(form.pattern.is_fixed)
-    inside = np.setdiff1d(np.flatnonzero(~held), rows)
+    is_fixed = whole(form.pattern.is_fixed)
+    interior_dofs = np.setdiff1d(np.flatnonzero(~is_fixed), rows)
     K = problem.K_torn
-    interior = np.ix_(inside, inside)
-    free = np.concatenate([rows, inside])
+    interior = np.ix_(interior_dofs, interior_dofs)
+    free = np.concatenate([rows, interior_dofs])
 
     def condensed(K: Array) -> Array:
-        X = np.linalg.solve(K[interior], K[np.ix_(inside, rows)])
-        return K[np.ix_(rows, rows)] - K[np.ix_(rows, inside)] @ X
+        X = np.linalg.solve(K[interior], K[np.ix_(interior_dofs, rows)])
+        return K[np.ix_(rows, rows)] - K[np.ix_(rows, interior_dofs)] @ X
 
     R_all = on_torn_dofs(form, [modes.R for modes in form.modes])
     ρ_R = on_torn_dofs(form, [modes.rho * modes.R for modes in form.modes])

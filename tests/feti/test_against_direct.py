@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""FETI against a direct solver on the undecomposed problem, with any subdomains."""
+"""Solutions by FETI agree with a direct solver, for any equation, element and decomposition."""
 
 import itertools
 from dataclasses import replace
@@ -36,7 +36,8 @@ from dolfinx_feti.fem.decomposition import tear
 TOLERANCE = 1e-7  # for a residual of 1e-10 and condition numbers up to 1e3
 
 
-def difference(u, expected):
+def relative_difference(u, expected):
+    """Return ‖u − expected‖ / ‖expected‖ of vectors of which each process has its owned dofs."""
     return norm(u - expected) / norm(expected)
 
 
@@ -45,8 +46,8 @@ def difference(u, expected):
     ("degree", "pc_type"),
     [(1, "dirichlet"), (1, "lumped"), (1, "identity"), (2, "dirichlet"), (2, "lumped")],
 )
-def test_all_options(kind, degree, pc_type, create_ksp):
-    """Elasticity on tetrahedra with every scaling and weight of the projection."""
+def test_every_scaling_and_projection_gives_the_direct_solution(kind, degree, pc_type, create_ksp):
+    """Elasticity on tetrahedra is solved with each preconditioner, scaling and weight Q."""
     problem = elasticity(cube(3, 2), degree=degree, stretched=True)
     linear = torn(problem, 6, "set_up_")
     expected = problem.solve_directly()
@@ -60,7 +61,7 @@ def test_all_options(kind, degree, pc_type, create_ksp):
         ksp = create_ksp(linear.A, ksp_rtol=1e-10, **names)
         ksp.solve(linear.b, x)
         agree(ksp.getConvergedReason() > 0, (options, ksp.getPythonContext().message))
-        agree(difference(x.array_r, expected) < TOLERANCE, options)
+        agree(relative_difference(x.array_r, expected) < TOLERANCE, options)
     x.destroy()
 
 
@@ -71,8 +72,8 @@ def with_form(problem, form):
     return replace(problem, a=problem.a + form(u, v))
 
 
-def carried(u, v):
-    """Advection, whose matrix is not symmetric."""
+def advection(u, v):
+    """Return the bilinear form of advection, whose matrix is not symmetric."""
     return ufl.dot(ufl.as_vector([5.0, -3.0]), ufl.grad(u)) * v * ufl.dx
 
 
@@ -93,16 +94,17 @@ PROBLEMS = {
     "springs in place of conditions": lambda: with_form(
         elasticity(cube(3, 3), clamped=None), lambda u, v: 10.0 * ufl.inner(u, v) * ufl.ds
     ),
-    "advection": lambda: with_form(poisson(cube(2, 8)), carried),
+    "advection": lambda: with_form(poisson(cube(2, 8)), advection),
 }
 
 
 @every_type
 @each("create", PROBLEMS)
-def test_problems(create, kind, solve_linear):
+def test_every_equation_and_cell_type_gives_the_direct_solution(create, kind, solve_linear):
+    """The residual meets its tolerance, and only the unsymmetric problem needs GMRES."""
     problem = create()
     linear = solve_linear(problem, 7, {"feti_type": kind, "ksp_rtol": 1e-10})
-    small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
+    small(relative_difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
     context = linear.solver.getPythonContext()
     small(context.residual, 1e-10)
     agree((context.method == "gmres") == (create is PROBLEMS["advection"]), context.method)
@@ -132,12 +134,14 @@ ELEMENTS = {
 
 @every_formulation
 @each(("create", "mesh", "element", "stretched"), ELEMENTS)
-def test_elements_other_than_lagrange(create, mesh, element, stretched, formulation, solve_linear):
-    """Both forms; where there are bubbles of cells, these belong to the interior."""
+def test_elements_other_than_lagrange_give_the_direct_solution(
+    create, mesh, element, stretched, formulation, solve_linear
+):
+    """Both formulations allow bubbles and moments; bubbles of cells are interior dofs."""
     mesh = cube(*mesh)
     problem = create(mesh, element=element(mesh), stretched=stretched)
     linear = solve_linear(problem, 7, {"feti_formulation": formulation, "ksp_rtol": 1e-10})
-    small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
+    small(relative_difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
     form = linear.solver.getPythonContext().formulation
     layout = problem.V.dofmap.dof_layout
     dim = problem.V.mesh.topology.dim
@@ -150,8 +154,8 @@ def test_elements_other_than_lagrange(create, mesh, element, stretched, formulat
 
 @every_formulation
 @pytest.mark.parametrize("dim", [2, 3])
-def test_what_moves_with_moments_as_dofs(dim, formulation, solve_linear):
-    """The message has the number of motions, although some dofs are not values at points."""
+def test_free_motions_are_counted_if_dofs_are_moments(dim, formulation, solve_linear):
+    """The error counts the free motions of a body on rollers, although moments are not values."""
     mesh = cube(dim, 2, Cell.quadrilateral if dim == 2 else Cell.hexahedron)
     free = elasticity(mesh, element=serendipity(mesh), clamped=None)
     rolls = replace(free, bcs=[dirichlet(free.V, left, component=0)])
@@ -160,8 +164,8 @@ def test_what_moves_with_moments_as_dofs(dim, formulation, solve_linear):
         solve_linear(rolls, 4, {"feti_formulation": formulation})
 
 
-def test_second_solve_sees_new_coefficients_and_values():
-    """Load, matrix and boundary values change between two solves; ghosts follow their owners."""
+def test_second_solve_uses_new_coefficients_and_values():
+    """Loads, coefficients and boundary values may change between solves; ghosts are updated."""
     problem = poisson(cube(2, 5))
     mesh = problem.V.mesh
     k, load, g = (dolfinx.fem.Constant(mesh, value) for value in (1.0, 1.0, 0.0))
@@ -171,7 +175,7 @@ def test_second_solve_sees_new_coefficients_and_values():
     linear = torn(changing, 5, "test_", ksp_rtol=1e-11)
     for k.value, load.value, g.value in ((1.0, 1.0, 0.0), (1.0, -2.0, 0.5), (30.0, 3.0, -1.0)):
         u = linear.solve()
-        small(difference(owned(u), changing.solve_directly()), TOLERANCE)
+        small(relative_difference(owned(u), changing.solve_directly()), TOLERANCE)
         uniform(u.x.array[dofs], float(g.value), 1e-9)
         ghosts = u.x.array.copy()
         u.x.scatter_forward()
@@ -191,7 +195,7 @@ DECOMPOSED = {
 @each(("create", "mesh", "options"), DECOMPOSED)
 @every_type
 def test_solution_does_not_depend_on_the_decomposition(create, mesh, options, kind, solve_linear):
-    """1, 4 and 64 subdomains, against a direct solve of the whole problem on each process."""
+    """1, 4 and 64 subdomains give the solution of a direct solver on one process."""
     alone = create(cube(*mesh, comm=MPI.COMM_SELF), **options)
     u = dolfinx.fem.Function(alone.V)
     u.x.array[:] = alone.solve_directly()
@@ -204,8 +208,8 @@ def test_solution_does_not_depend_on_the_decomposition(create, mesh, options, ki
         agree(report.subdomains >= max(subdomains, COMM.size))
 
 
-def test_process_alone_solves_its_own_problem():
-    """On MPI.COMM_SELF nothing is collective on the world: each process has other subdomains."""
+def test_each_process_solves_its_own_problem_on_comm_self():
+    """A problem on MPI.COMM_SELF makes no collective call on the world."""
     problem = elasticity(cube(2, 5, comm=MPI.COMM_SELF), stretched=True)
     linear = torn(problem, 3 + COMM.rank, f"process{COMM.rank}_", ksp_rtol=1e-11)
     linear.solve()
@@ -213,8 +217,8 @@ def test_process_alone_solves_its_own_problem():
     agree(linear.solver.getPythonContext().report().subdomains == 3 + COMM.rank)
 
 
-def test_same_solution_at_the_default_tolerance(solve_linear):
-    """All choices end by the assembled residual, and so have similar errors."""
+def test_all_options_have_similar_errors_at_the_default_tolerance(solve_linear):
+    """Each solve ends by the assembled residual, whatever the options."""
     problem = elasticity(cube(2, 8), stretched=True)
     expected = whole(problem.solve_directly())
     for options in (
@@ -238,14 +242,23 @@ every_mesh = each("mesh", MESHES)
 every_equation = pytest.mark.parametrize("create", [poisson, elasticity])
 
 
-def check(problem, part, kind, solve_linear, **options):
+def check_solution(problem, part, kind, solve_linear, **options):
+    """Assert that a problem is solved as by MUMPS for the given parts; return FETI's report.
+
+    Args:
+        problem: The problem; it is torn here.
+        part: Number of the part of each cell of this process, (cells,).
+        kind: Value of the option feti_type.
+        solve_linear: The fixture.
+        **options: Further PETSc options, without prefix.
+    """
     linear = solve_linear(problem, part, {"feti_type": kind, "ksp_rtol": 1e-11, **options})
-    small(difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
+    small(relative_difference(owned(linear.u), problem.solve_directly()), TOLERANCE)
     return linear.solver.getPythonContext().report()
 
 
 def ragged(problem, rng):
-    """Random cells to random parts, most of them in pieces that touch in edges and vertices."""
+    """Return random parts, most of them in pieces that touch in edges and vertices."""
     return rng.integers(0, rng.integers(2, 9), problem.cells)
 
 
@@ -255,13 +268,13 @@ def singles(problem, rng):
 
 
 def large(problem, rng):
-    """One large subdomain and some single cells."""
+    """Return one large part and some parts of a single cell."""
     cells = np.arange(problem.cells)
     return np.where(cells % 5 == 0, 1 + cells // 5, 0)
 
 
 def rings(problem, rng):
-    """Around the middle: subdomains that enclose others."""
+    """Return square rings around the middle, parts that enclose each other."""
     cells = np.arange(problem.cells, dtype=np.int32)
     centre = dolfinx.mesh.compute_midpoints(problem.V.mesh, 2, cells)
     return np.round(7 * np.abs(centre[:, :2] - 0.5).max(axis=1)).astype(np.int32)
@@ -271,10 +284,11 @@ def rings(problem, rng):
 @every_type
 @every_equation
 @pytest.mark.parametrize(("parts", "seed"), [(ragged, 83), (ragged, 1291), (singles, 0)])
-def test_any_parts(mesh, kind, create, parts, seed, solve_linear):
+def test_any_parts_give_the_direct_solution(mesh, kind, create, parts, seed, solve_linear):
+    """Parts may be ragged, unconnected or single cells; each connected piece is a subdomain."""
     problem = create(cube(*mesh))
     part = parts(problem, np.random.default_rng(seed + COMM.rank))
-    report = check(problem, part, kind, solve_linear)
+    report = check_solution(problem, part, kind, solve_linear)
     agree(report.subdomains >= 2)
     if parts is singles:
         agree(report.subdomains == COMM.allreduce(problem.cells))
@@ -293,16 +307,19 @@ def test_any_parts(mesh, kind, create, parts, seed, solve_linear):
         (rings, (2, 7, Cell.quadrilateral), 1, "dirichlet", "preconditioner"),
     ],
 )
-def test_other_parts_and_options(kind, parts, mesh, degree, pc_type, q, solve_linear):
+def test_irregular_parts_are_solved_with_every_preconditioner(
+    kind, parts, mesh, degree, pc_type, q, solve_linear
+):
+    """Subdomains may differ much in size, and one may enclose another."""
     problem = elasticity(cube(*mesh), degree=degree, stretched=True)
     part = parts(problem, np.random.default_rng(40099 + COMM.rank))
-    check(problem, part, kind, solve_linear, feti_pc_type=pc_type, feti_coarse_q=q)
+    check_solution(problem, part, kind, solve_linear, feti_pc_type=pc_type, feti_coarse_q=q)
 
 
 @every_mesh
 @every_type
 @pytest.mark.parametrize("seed", [83, 1291, 40099])
-def test_random_dirichlet_conditions(mesh, kind, seed, solve_linear):
+def test_random_dirichlet_conditions_give_the_direct_solution(mesh, kind, seed, solve_linear):
     """Random components of random nodes are prescribed, in addition to a clamped side."""
     problem = elasticity(cube(*mesh))
     bcs = list(problem.bcs)
@@ -311,10 +328,10 @@ def test_random_dirichlet_conditions(mesh, kind, seed, solve_linear):
         g = dolfinx.fem.Function(part.collapse()[0])
         g.interpolate(lambda x, j=j: np.cos(5.0 * x[0] + j) * x[1])
 
-        def lottery(x, j=j):  # by coordinates, so that all processes agree on shared nodes
+        def is_prescribed(x, j=j):  # by coordinates, so that all processes agree on shared nodes
             return (np.sin(1e4 * ([1.7, 2.9, 4.1] @ x) + seed * (j + 1)) > 0.8) & ~left(x)
 
-        dofs = dolfinx.fem.locate_dofs_geometrical((part, g.function_space), lottery)
+        dofs = dolfinx.fem.locate_dofs_geometrical((part, g.function_space), is_prescribed)
         bcs.append(dolfinx.fem.dirichletbc(g, dofs, part))
     rng = np.random.default_rng(seed + 7 * COMM.rank)
-    check(replace(problem, bcs=bcs), rng.integers(0, 5, problem.cells), kind, solve_linear)
+    check_solution(replace(problem, bcs=bcs), rng.integers(0, 5, problem.cells), kind, solve_linear)

@@ -1,9 +1,9 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Failures have a negative converged reason and a remedy; no wrong answer is silent.
+"""A failed solve has a negative converged reason and a remedy; no wrong answer is silent.
 
-Advice is never what is in force.
+A message never recommends an option that is already set.
 """
 
 import itertools
@@ -37,21 +37,21 @@ SEED = 6174
 Reason = PETSc.KSP.ConvergedReason
 
 GRID = case((2, 2), (3, 3), 2)
-WIDE = case((3, 2), (3, 3), 2)
-ALONE = case((1, 1), (5, 5), 2)
-MANY = case((3, 3), (2, 2), 2)
+SIX_SUBDOMAINS = case((3, 2), (3, 3), 2)
+ONE_SUBDOMAIN = case((1, 1), (5, 5), 2)
+NINE_SUBDOMAINS = case((3, 3), (2, 2), 2)
 cg_and_gmres = pytest.mark.parametrize(
     "options", [{}, {"feti_dual_ksp_type": "gmres"}], ids=["cg", "gmres"]
 )
 
 
-def attempt(ksp, problem, values=None):
-    """Solve; return the context and x."""
+def solve_once(ksp, problem, values=None):
+    """Solve, whether it converges or not; return the FETI context and x, (dofs,)."""
     _, x = solve(ksp, problem, random_values(problem, SEED) if values is None else values)
     return ksp.getPythonContext(), x
 
 
-def failed(ksp, reason, *words):
+def check_failed(ksp, reason, *words):
     """Assert that all processes see this reason and a message with these words."""
     message = ksp.getPythonContext().message
     agree(ksp.getConvergedReason() == reason, (ksp.getConvergedReason(), message))
@@ -64,28 +64,32 @@ def failed(ksp, reason, *words):
 @every_type
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("where", ["diagonal", "everywhere"])
-def test_nan_in_the_matrix(where, value, kind, torn_grid, create_ksp):
+def test_nan_or_inf_in_the_matrix_fails_the_set_up(where, value, kind, torn_grid, create_ksp):
+    """All processes fail, although one subdomain alone has the NaN."""
+
     def change(K, dofs):
         rows = len(K[1]) // 2 if where == "diagonal" else slice(None)
         K[1][rows, rows] = value
 
     problem = torn_grid(change=change, **GRID)
     ksp = create_ksp(problem.A, feti_type=kind)
-    attempt(ksp, problem)
-    failed(ksp, Reason.DIVERGED_PCSETUP_FAILED, "NaN")
+    solve_once(ksp, problem)
+    check_failed(ksp, Reason.DIVERGED_PCSETUP_FAILED, "NaN")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 @pytest.mark.parametrize("on_boundary", [False, True])
 @cg_and_gmres
-def test_nan_in_the_load(value, on_boundary, options, torn_grid, create_ksp):
-    """The solver works again afterwards."""
+def test_nan_or_inf_in_the_load_fails_that_solve_only(
+    value, on_boundary, options, torn_grid, create_ksp
+):
+    """The next load is solved as usual."""
     problem = torn_grid(**GRID)
     ksp = create_ksp(problem.A, **options)
     values = np.ones(len(problem.dirichlet))
     values[np.flatnonzero(problem.dirichlet == on_boundary)[3]] = value
-    attempt(ksp, problem, values)
-    failed(ksp, Reason.DIVERGED_NANORINF, "NaN", "load")
+    solve_once(ksp, problem, values)
+    check_failed(ksp, Reason.DIVERGED_NANORINF, "NaN", "load")
     agree(solved(ksp, problem, 1e-6).message == "")
 
 
@@ -93,21 +97,24 @@ def test_nan_in_the_load(value, on_boundary, options, torn_grid, create_ksp):
 
 
 @cg_and_gmres
-def test_maximum_of_iterations(options, torn_grid, create_ksp, caplog):
-    """The message is logged once."""
+def test_iteration_limit_is_reported_and_logged_once(options, torn_grid, create_ksp, caplog):
+    """The message names the option that raises the limit, and the first process logs it."""
     problem = torn_grid(**GRID)
     ksp = create_ksp(problem.A, ksp_max_it=3, **options)
     with caplog.at_level(logging.WARNING, "dolfinx_feti"):
-        attempt(ksp, problem)
-    failed(ksp, Reason.DIVERGED_MAX_IT, "-test_ksp_max_it")
+        solve_once(ksp, problem)
+    check_failed(ksp, Reason.DIVERGED_MAX_IT, "-test_ksp_max_it")
     agree(ksp.getIterationNumber() == 3)
     logged = [record.getMessage() for record in caplog.records]
     agree(len(logged) == (1 if COMM.rank == 0 else 0), logged)
     agree(all("-test_ksp_max_it" in line for line in logged), logged)
 
 
-def shares(problem, values, x):
-    """Return ‖b − A x‖/‖b − A x_D‖ on the free dofs, and that of 4 times its rounding errors."""
+def residual_and_floor(problem, values, x):
+    """Return ‖b − A x‖ and its floor, relative to ‖b − A x_D‖, all on the free dofs.
+
+    The floor is 4 times the rounding error of the residual; x_D has the prescribed values alone.
+    """
     K = problem.matrix
     free = ~problem.dirichlet
     scale = np.linalg.norm((values - K @ np.where(free, 0.0, values))[free])
@@ -121,71 +128,82 @@ def shares(problem, values, x):
     [{}, {"feti_formulation": "primal"}, {"feti_dual_ksp_type": "gmres", "feti_type": "classical"}],
     ids=["dual", "primal", "gmres"],
 )
-def test_tolerance_out_of_reach_ends_at_rounding(options, torn_grid, create_ksp):
-    """Refinement does not reach a residual below rounding; the message has the one reached."""
+def test_unreachable_tolerance_ends_at_the_rounding_floor(options, torn_grid, create_ksp):
+    """With zero tolerances a solve ends at the rounding errors of its residual.
+
+    The report states the floor; after a solve that meets its tolerance there is none.
+    """
     problem = torn_grid(**GRID)
     ksp = create_ksp(problem.A, ksp_rtol=0.0, ksp_atol=0.0, **options)
     values = random_values(problem, SEED)
-    context, x = attempt(ksp, problem, values)
+    context, x = solve_once(ksp, problem, values)
     agree(ksp.getConvergedReason() == Reason.CONVERGED_HAPPY_BREAKDOWN and context.message == "")
-    residual, floor = shares(problem, values, x)
+    residual, floor = residual_and_floor(problem, values, x)
     equal(context.floor, floor, 1e-12)
     agree(max(context.residual, residual) <= floor < 1e-13, (context.residual, residual, floor))
     agree("at the floor of rounding" in format_report(context.report()))
     ksp.setTolerances(rtol=1e-8)
-    attempt(ksp, problem, values)
+    solve_once(ksp, problem, values)
     agree(np.isnan(context.floor) and "rounding" not in format_report(context.report()))
 
 
 @pytest.mark.parametrize("rtol", [1e-15, 1e-20])
 def test_residual_above_rounding_is_not_converged(rtol, torn_grid, create_ksp, monkeypatch):
-    """A Krylov method that ends far above its tolerance, on purpose, and no fresh start."""
+    """A solve that stagnates far above its rounding floor is a breakdown.
+
+    The Krylov method is made to end early, and fresh starts are disabled.
+    """
     monkeypatch.setattr("dolfinx_feti.feti.outer_loop.TARGET_FACTOR", 1e-11 / rtol)
     monkeypatch.setattr("dolfinx_feti.feti.outer_loop.MAX_FRESH_STARTS", 0)
     problem = torn_grid(**GRID)
     ksp = create_ksp(problem.A, ksp_rtol=rtol)
     values = random_values(problem, SEED)
-    context, x = attempt(ksp, problem, values)
-    residual, floor = shares(problem, values, x)
+    context, x = solve_once(ksp, problem, values)
+    residual, floor = residual_and_floor(problem, values, x)
     agree(1e-11 > residual > 10 * floor and np.isnan(context.floor), (residual, floor))
-    failed(ksp, Reason.DIVERGED_BREAKDOWN, "stagnates", f"{context.residual:.2e}")
+    check_failed(ksp, Reason.DIVERGED_BREAKDOWN, "stagnates", f"{context.residual:.2e}")
 
 
-def test_rounding_that_leaves_a_doubt_is_a_failure(torn_grid, create_ksp, monkeypatch):
-    """The limit is lowered, so that rounding makes every solution doubtful."""
+def test_large_rounding_floor_is_a_failure(torn_grid, create_ksp, monkeypatch):
+    """A solution is not accepted if rounding alone exceeds the allowed share of the load.
+
+    The limit is lowered, so that every floor exceeds it.
+    """
     monkeypatch.setattr("dolfinx_feti.feti.converged_reason.MAX_ROUNDING_SHARE", 1e-20)
     problem = torn_grid(**GRID)
     ksp = create_ksp(problem.A, ksp_rtol=1e-20)
-    context, _ = attempt(ksp, problem)
-    failed(ksp, Reason.DIVERGED_BREAKDOWN, "rounding alone", "κ", f"{context.floor:.0e} ‖b‖")
+    context, _ = solve_once(ksp, problem)
+    check_failed(ksp, Reason.DIVERGED_BREAKDOWN, "rounding alone", "κ", f"{context.floor:.0e} ‖b‖")
 
 
 # ---- wrong matrices -------------------------------------------------------------------------
 
 
-def push(K, dofs):
+def shift_first_subdomain(K, dofs):
+    """Shift the matrix of the first subdomain so far that the assembled matrix is indefinite."""
     K[0] -= 0.3 * np.abs(K[0]).max() * np.eye(len(K[0]))
 
 
 INDEFINITE = {
     "dual": (softened(0.3), {"feti_dual_ksp_type": "cg"}, "-test_feti_dual_ksp_type gmres"),
-    "primal": (push, {"feti_formulation": "primal"}, "-test_feti_formulation dual"),
+    "primal": (
+        shift_first_subdomain,
+        {"feti_formulation": "primal"},
+        "-test_feti_formulation dual",
+    ),
 }
 
 
 @every_type
 @each(("change", "options", "remedy"), INDEFINITE)
-def test_negative_curvature(
+def test_cg_refuses_an_indefinite_matrix_that_the_defaults_solve(
     change, options, remedy, kind, torn_grid, create_ksp, stops_at_negative_curvature
 ):
-    """CG fails on an indefinite matrix if the user asks for CG; by default GMRES solves.
-
-    The remedy has an effect on the form in force.
-    """
+    """With CG set by option, or the primal form, the message names an option that solves."""
     problem = torn_grid(change=change, **GRID)
     agree(problem.negative > 0)
     ksp = create_ksp(problem.A, feti_type=kind, **options)
-    attempt(ksp, problem)
+    solve_once(ksp, problem)
     indefinite = (Reason.DIVERGED_INDEFINITE_MAT, Reason.DIVERGED_INDEFINITE_PC)
     agree(ksp.getConvergedReason() in indefinite, ksp.getConvergedReason())
     agree(remedy in ksp.getPythonContext().message, ksp.getPythonContext().message)
@@ -195,53 +213,57 @@ def test_negative_curvature(
 @every_type
 @every_interior
 @pytest.mark.parametrize(
-    ("grid", "share", "least"),
+    ("grid", "share", "min_negative"),
     [
         (GRID, 0.0, 0),
         (GRID, 0.002, 0),
         (GRID, 0.01, 1),
-        (ALONE, 0.0, 0),
-        (ALONE, 0.05, 1),
-        (ALONE, 0.2, 1),
+        (ONE_SUBDOMAIN, 0.0, 0),
+        (ONE_SUBDOMAIN, 0.05, 1),
+        (ONE_SUBDOMAIN, 0.2, 1),
     ],
 )
-def test_indefinite_matrix_is_refused(kind, interior, grid, share, least, torn_grid, create_ksp):
-    """It is refused before the first iteration, but not if only subdomains buckle.
+def test_indefinite_matrix_is_refused_before_iterating(
+    kind, interior, grid, share, min_negative, torn_grid, create_ksp
+):
+    """The assembled matrix must be definite; single subdomains may buckle.
 
-    Without an interface all is interior, and FETI a direct solver that counts.
+    With one subdomain there is no interface: FETI is a direct solver that counts pivots.
     """
     problem = torn_grid(change=softened(share), **grid)
-    agree(problem.negative >= least and (problem.negative > 0) == (least > 0))
+    agree(problem.negative >= min_negative and (problem.negative > 0) == (min_negative > 0))
     options = {"feti_type": kind, "feti_interior": interior, "feti_deflation": 0}
     ksp = create_ksp(problem.A, FETI(refuse_indefinite=True), **options)
     context = ksp.getPythonContext()
     agree(context.inertia.assembled == problem.negative, context.inertia)
-    if grid is not ALONE:
+    if grid is not ONE_SUBDOMAIN:
         agree((context.inertia.dual > 0) == (share > 0.0))
-    if least == 0:
+    if min_negative == 0:
         solved(ksp, problem)
     else:
-        attempt(ksp, problem)
-        failed(ksp, Reason.DIVERGED_INDEFINITE_MAT)
+        solve_once(ksp, problem)
+        check_failed(ksp, Reason.DIVERGED_INDEFINITE_MAT)
         agree(context.iterations == 0)
 
 
 @every_type
 @every_interior
 @pytest.mark.parametrize("share", [0.0, 0.002, 0.004, 0.01, 0.05, 0.2])
-def test_what_is_proved_is_there(kind, interior, share, torn_grid, create_dual):
-    """The proved number is at most that of A's negative eigenvalues; it is positive for many."""
-    problem = torn_grid(change=softened(share), **WIDE)
-    there = problem.negative
+def test_proved_negative_eigenvalues_are_at_most_those_of_the_matrix(
+    kind, interior, share, torn_grid, create_dual
+):
+    """The inertia gives a lower bound, which is positive if A has several of them."""
+    problem = torn_grid(change=softened(share), **SIX_SUBDOMAINS)
+    negative = problem.negative
     for pc_type in ("dirichlet", "lumped", "identity"):
         system = create_dual(problem.A, type=kind, interior=interior, pc_type=pc_type)
         proved = system.inertia.assembled
         if proved is None:  # K_II is factored for the Dirichlet preconditioner, or eliminated
             agree(interior == "keep" and pc_type != "dirichlet" and share > 0.0)
             continue
-        agree(0 <= proved <= there, (proved, there))
-        if there > 1 and pc_type == "dirichlet":
-            agree(proved > 0, there)
+        agree(0 <= proved <= negative)
+        if negative > 1 and pc_type == "dirichlet":
+            agree(proved > 0, negative)
         if share == 0.0:
             agree(system.inertia.dual == 0)
 
@@ -249,7 +271,8 @@ def test_what_is_proved_is_there(kind, interior, share, torn_grid, create_dual):
 # ---- the problem class ----------------------------------------------------------------------
 
 
-def test_nan_coefficient_raises_and_leaves_u():
+def test_nan_coefficient_raises_and_keeps_u():
+    """A failed solve does not touch the user's function, and the next one succeeds."""
     problem = poisson(cube(2, 4))
     factor = dolfinx.fem.Constant(problem.V.mesh, np.nan)
     linear = torn(replace(problem, a=factor * problem.a), prefix="t_")
@@ -267,8 +290,8 @@ def test_nan_coefficient_raises_and_leaves_u():
 REASONS = {value: name for name, value in vars(Reason).items() if name.startswith("DIVERGED")}
 
 
-def recommended(message):
-    """Return the options with a value that a message recommends, and not those that it blames."""
+def recommended_options(message):
+    """Return (name, value) of the options that a message recommends, without those it blames."""
     return re.findall(r"(?<!but )-test_feti_(\w+) (\w+)", message)
 
 
@@ -276,9 +299,9 @@ def recommended(message):
 @pytest.mark.parametrize("method", ["cg", "gmres", "minres"])
 @pytest.mark.parametrize("floor", [np.nan, 1e-2])
 @pytest.mark.parametrize("reason", REASONS, ids=REASONS.values())
-def test_no_remedy_is_in_force(reason, floor, method):
-    """No message recommends an option that is set already."""
-    texts = set()
+def test_no_message_recommends_an_option_that_is_set(reason, floor, method):
+    """This is checked for every converged reason and all combinations of options."""
+    messages = set()
     for values in itertools.product(*CHOICES.values()):
         options = FETIOptions(**dict(zip(CHOICES, values, strict=True)))
         for dual in {options.formulation != "primal", options.formulation == "dual"}:
@@ -289,61 +312,64 @@ def test_no_remedy_is_in_force(reason, floor, method):
                 name="dual" if dual else "primal",
                 inertia=Inertia(local=0, defect=0, interior=0, assembled=0),
             )
-            text = failure_message(reason, Accuracy(residual_floor=floor), form, "test_")
-            texts.add(text)
-            force = {"dual_ksp_type": method, "formulation": "dual" if dual else "primal"}
-            for name, value in recommended(text):
-                agree(force.get(name, getattr(options, name, None)) != value, (text, options))
-                agree(name in force or value in CHOICES[name], text)
-    agree(all(texts) and "feti_stagnation" not in " ".join(texts))
+            message = failure_message(reason, Accuracy(residual_floor=floor), form, "test_")
+            messages.add(message)
+            in_force = {"dual_ksp_type": method, "formulation": "dual" if dual else "primal"}
+            for name, value in recommended_options(message):
+                agree(in_force.get(name, getattr(options, name, None)) != value, (message, options))
+                agree(name in in_force or value in CHOICES[name], message)
+    agree(all(messages) and "feti_stagnation" not in " ".join(messages))
 
 
-def test_advice_that_is_followed_is_not_repeated(torn_grid, create_ksp, monkeypatch):
-    """Three iterations that bring nothing end a solve; options are worse than the defaults."""
-    problem = torn_grid(stiffness=lambda i: 1e6 ** (i % 2), **MANY)
+def test_following_the_advice_leads_to_convergence(torn_grid, create_ksp, monkeypatch):
+    """Each failure recommends other options than those that are set, until a solve converges.
+
+    A solve counts as stagnating after three iterations; it begins with the worst options.
+    """
+    problem = torn_grid(stiffness=lambda i: 1e6 ** (i % 2), **NINE_SUBDOMAINS)
     options = {"pc_type": "identity", "scaling": "multiplicity", "coarse_q": "identity"}
     options["formulation"] = "dual"
-    said = []
+    messages = []
     monkeypatch.setattr("dolfinx_feti.feti.dual.krylov.STAGNATION_ITERATIONS", 3)
     monkeypatch.setattr("dolfinx_feti.feti.outer_loop.MAX_FRESH_STARTS", 0)
-    while not said or (said[-1] and len(said) < 4):
+    while not messages or (messages[-1] and len(messages) < 4):
         ksp = create_ksp(problem.A, **{f"feti_{name}": value for name, value in options.items()})
         solve(ksp, problem, random_values(problem))
-        said.append(ksp.getPythonContext().message)
-        if len(said) == 1:
-            failed(ksp, Reason.DIVERGED_BREAKDOWN, "stagnates", "-test_feti_pc_type dirichlet")
+        messages.append(ksp.getPythonContext().message)
+        if len(messages) == 1:
+            check_failed(
+                ksp, Reason.DIVERGED_BREAKDOWN, "stagnates", "-test_feti_pc_type dirichlet"
+            )
             agree(0 < ksp.getIterationNumber() < 500)
-        new = recommended(said[-1])
-        if said[-1]:
-            agree(new, said)
-        agree(all(options[name] != value for name, value in new), said)
-        options |= dict(new)
-    agree(len(said) > 1 and said[-1] == "", said)
+        advice = recommended_options(messages[-1])
+        if messages[-1]:
+            agree(advice, messages)
+        agree(all(options[name] != value for name, value in advice), messages)
+        options |= dict(advice)
+    agree(len(messages) > 1 and messages[-1] == "", messages)
 
 
 @pytest.mark.parametrize("pc_type", ["dirichlet", "lumped"])
-def test_dual_solve_that_takes_too_long_names_the_primal_formulation(
-    pc_type, torn_grid, create_ksp
-):
-    """And the preconditioner that goes with it; followed, it solves."""
-    problem = torn_grid(stiffness=lambda i: 1e6 ** (i % 2), **MANY)
+def test_slow_dual_solve_recommends_the_primal_formulation(pc_type, torn_grid, create_ksp):
+    """The message adds the preconditioner that it requires, and following it converges."""
+    problem = torn_grid(stiffness=lambda i: 1e6 ** (i % 2), **NINE_SUBDOMAINS)
     options = {"formulation": "dual", "pc_type": pc_type, "coarse_q": "identity"}
-    for most in (2, 10_000):
-        own = {f"feti_{name}": value for name, value in options.items()}
-        ksp = create_ksp(problem.A, ksp_max_it=most, **own)
-        attempt(ksp, problem)
-        said = ksp.getPythonContext().message
-        new = dict(recommended(said))
-        agree((most > 2) == (said == ""), said)
+    for max_it in (2, 10_000):
+        prefixed = {f"feti_{name}": value for name, value in options.items()}
+        ksp = create_ksp(problem.A, ksp_max_it=max_it, **prefixed)
+        solve_once(ksp, problem)
+        message = ksp.getPythonContext().message
+        advice = dict(recommended_options(message))
+        agree((max_it > 2) == (message == ""), message)
         expected = {"formulation": "primal"}
         if pc_type != "dirichlet":
             expected |= {"pc_type": "dirichlet"}
-        if said:
-            agree(new == expected, said)
-        options |= new
+        if message:
+            agree(advice == expected, message)
+        options |= advice
 
 
-UNFIT = [
+UNFIT_FOR_UNSYMMETRIC = [
     {"dual_ksp_type": "cg"},
     {"formulation": "dual"},
     {"pc_type": "lumped"},
@@ -352,36 +378,39 @@ UNFIT = [
 ]
 
 
-@pytest.mark.parametrize("options", UNFIT)
-def test_unsymmetric_matrix_is_solved_as_its_message_says(options, torn_grid, create_ksp):
-    problem = torn_grid(change=unsymmetric(0.02), **MANY)
+@pytest.mark.parametrize("options", UNFIT_FOR_UNSYMMETRIC)
+def test_following_the_advice_solves_an_unsymmetric_matrix(options, torn_grid, create_ksp):
+    """Options that only fit symmetric matrices fail with a message whose options converge."""
+    problem = torn_grid(change=unsymmetric(0.02), **NINE_SUBDOMAINS)
     for _ in range(2):
         ksp = create_ksp(problem.A, **{f"feti_{name}": value for name, value in options.items()})
         reason, _ = solve(ksp, problem, random_values(problem))
-        said = ksp.getPythonContext().message
-        agree((reason > 0) == (options.get("formulation") == "primal" or said == ""), said)
-        options = options | dict(recommended(said))
-    agree(reason > 0, said)
+        message = ksp.getPythonContext().message
+        agree((reason > 0) == (options.get("formulation") == "primal" or message == ""), message)
+        options = options | dict(recommended_options(message))
+    agree(reason > 0, message)
 
 
 @pytest.mark.parametrize("scaling", CHOICES["scaling"])
 @pytest.mark.parametrize("modes", [0, 12])
 @every_formulation
-def test_advice_of_a_diagnosis_is_not_in_force(formulation, scaling, modes):
-    """Whatever else is measured: a jump of the stiffness, and a large condition number.
+def test_diagnosis_recommends_only_options_that_are_not_set(formulation, scaling, modes):
+    """The figures claim a jump of the stiffness and a large condition number.
 
-    Soft modes have no effect in the primal formulation, whose adaptive columns take their place.
+    Soft modes have no effect in the primal formulation, whose adaptive columns replace them.
     """
-    chosen = {"feti_scaling": scaling, "feti_coarse_modes": modes}
-    chosen |= {"feti_formulation": formulation}
-    found = torn(elasticity(cube(2, 8)), 2 * COMM.size, "test_", **chosen).diagnose()
-    figures = replace(found.figures, stiffness_jump=1e9)
-    report = replace(found.report, eigenvalues=(1.0, 1e9), floor=1e-5)
-    said = advice.advise(figures, report, iterations=1000, prefix="test_")
-    new = recommended(" ".join(piece.text for piece in said))
-    agree(all(str(chosen[f"feti_{name}"]) != value for name, value in new), said)
+    options = {"feti_scaling": scaling, "feti_coarse_modes": modes}
+    options |= {"feti_formulation": formulation}
+    diagnosis = torn(elasticity(cube(2, 8)), 2 * COMM.size, "test_", **options).diagnose()
+    figures = replace(diagnosis.figures, stiffness_jump=1e9)
+    report = replace(diagnosis.report, eigenvalues=(1.0, 1e9), floor=1e-5)
+    advice_list = advice.advise(figures, report, iterations=1000, prefix="test_")
+    recommendations = recommended_options(" ".join(piece.text for piece in advice_list))
+    agree(
+        all(str(options[f"feti_{name}"]) != value for name, value in recommendations), advice_list
+    )
     is_dual = formulation == "dual"
-    agree((("formulation", "primal") in new) == is_dual, said)
+    agree((("formulation", "primal") in recommendations) == is_dual, advice_list)
     expected = []
     if scaling == "multiplicity":
         expected.append("scaling")
@@ -389,11 +418,12 @@ def test_advice_of_a_diagnosis_is_not_in_force(formulation, scaling, modes):
         expected.append("formulation")
     if is_dual and modes == 0:
         expected.append("coarse_modes")
-    agree(sorted(name for name, _ in new) == sorted(expected), said)
-    agree("residual that is rounding" in {piece.quantity for piece in said}, said)
+    agree(sorted(name for name, _ in recommendations) == sorted(expected), advice_list)
+    agree("residual that is rounding" in {piece.quantity for piece in advice_list}, advice_list)
 
 
-def test_newtons_messages_name_no_option_but_the_limit_of_steps():
+def test_newton_messages_name_no_option_but_the_step_limit():
+    """No other option of SNES, KSP or FETI remedies a failure of Newton's method."""
     texts = [CLOSER_START, SMALLER_LOAD_STEPS]
     for failure in FAILURES:
         texts += [failure.cause, failure.remedy]

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The table of converged reasons, case by case, and the limit of iterations by digits."""
+"""The converged reason of each state of a solution, and the iteration limit by digits."""
 
 from __future__ import annotations
 
@@ -99,7 +99,8 @@ CASES = {
 
 
 @each("case", CASES)
-def test_reason_of_each_case(case):
+def test_converged_reason_of_each_state(case):
+    """Residual, rounding floors and the last start determine the reason."""
     reason = converged_reason(
         case.last,
         case.accuracy,
@@ -118,8 +119,8 @@ def test_reason_of_each_case(case):
         (LARGE, Reason.DIVERGED_BREAKDOWN),
     ],
 )
-def test_outcome_of_a_composed_solution(error_estimate, reason):
-    """Above its tolerance, η is what rounding leaves; a large one is a failure with a message."""
+def test_error_of_a_composed_solution_is_rounding_above_its_tolerance(error_estimate, reason):
+    """A large η is a failure with a message, a small one is accepted."""
     info = composed_outcome(SolveInfo(Reason.CONVERGED_RTOL), error_estimate, 1e-8)
     is_rounding = error_estimate > 1e-8
     assert info.reason == reason
@@ -139,18 +140,19 @@ def test_outcome_of_a_composed_solution(error_estimate, reason):
         (1e-8, 30.0, 100),
     ],
 )
-def test_iterations_by_digits(rtol, rate, limit):
+def test_iteration_limit_is_proportional_to_the_digits(rtol, rate, limit):
+    """It is the rate times the digits to gain, one to thirteen, and at most the user's limit."""
     assert Tolerances(1e-8, 0.0, 100, rate).iteration_limit(rtol) == limit
 
 
 def test_error_allowance_meets_its_tolerance():
-    """An error of the allowed size has η at the tolerance for x = 0, and less for any other x."""
+    """An error of the allowed size has η equal to the tolerance for x = 0, and less otherwise."""
     allowed = np.array([3e-4, 4e-4])
     settings = SolveSettings(error_allowance=ErrorAllowance(1e-3, allowed))
     tolerance, reference = settings.loosen(1e-8, 2)
     assert tolerance == 1e-3
     ratio = np.linalg.norm(allowed) / np.linalg.norm(reference)
     assert ratio == pytest.approx(tolerance, rel=1e-14)
-    strict, none = SolveSettings().loosen(1e-8, 2)
+    strict, no_reference = SolveSettings().loosen(1e-8, 2)
     assert strict == 1e-8
-    np.testing.assert_array_equal(none, 0.0)
+    np.testing.assert_array_equal(no_reference, 0.0)

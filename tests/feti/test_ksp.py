@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What PETSc and its users expect of a KSP: options, monitors, tolerances, views, refusals."""
+"""FETI behaves as any KSP of PETSc: options, monitors, tolerances, views and errors."""
 
 import re
 from pathlib import Path
@@ -32,8 +32,8 @@ Reason = PETSc.KSP.ConvergedReason
 # ---- a solver of PETSc ----------------------------------------------------------------------
 
 
-def test_type_from_the_command_line(torn_grid, lifetime):
-    """-ksp_type python -ksp_python_type dolfinx_feti.FETI."""
+def test_solver_is_selected_by_petsc_options(torn_grid, lifetime):
+    """-ksp_type python -ksp_python_type dolfinx_feti.FETI creates the solver."""
     problem = torn_grid((2, 2), (2, 2))
     ksp = lifetime.own(PETSc.KSP().create(COMM))
     ksp.setOptionsPrefix("mine_")
@@ -50,30 +50,33 @@ def test_type_from_the_command_line(torn_grid, lifetime):
 
 @every_formulation
 @pytest.mark.parametrize("everywhere", [True, False])
-def test_monitor_and_history(everywhere, formulation, torn_grid, create_ksp):
-    """The norm of the assembled residual at the start and after each iteration.
+def test_monitor_gets_the_assembled_residual_of_each_iteration(
+    everywhere, formulation, torn_grid, create_ksp
+):
+    """Monitor and history have its norm at the start and after each iteration.
 
-    As after ``if comm.rank == 0: ksp.setMonitor(…)``, too: it sees all iterations, and none waits.
+    One process alone may set the monitor, as after ``if comm.rank == 0: ksp.setMonitor(…)``: it is
+    called for all iterations, and no process waits.
     """
     problem = torn_grid(**GRID)
-    seen = []
+    monitored = []
     ksp = create_ksp(problem.A, feti_coarse_q="identity", feti_formulation=formulation)
     if everywhere or COMM.rank == 0:
-        ksp.setMonitor(lambda ksp, its, rnorm: seen.append((its, rnorm)))
+        ksp.setMonitor(lambda ksp, its, rnorm: monitored.append((its, rnorm)))
     ksp.setConvergenceHistory(length=100)
     reason, _ = solve(ksp, problem, random_values(problem))
     its = ksp.getIterationNumber()
     norms = ksp.getConvergenceHistory()
     agree(reason > 0 and ksp.getPythonContext().iterations == its and len(norms) == its + 1)
     expected = list(enumerate(norms)) if everywhere or COMM.rank == 0 else []
-    agree(seen == expected, (seen, norms))
+    agree(monitored == expected, (monitored, norms))
     small(ksp.getResidualNorm() / norms[-1] - 1.0, 1e-2)
     agree(norms[-1] < 1e-7 * norms[0])
 
 
 @pytest.mark.parametrize("everywhere", [True, False])
 def test_convergence_test_is_refused(everywhere, torn_grid, create_ksp, lifetime):
-    """FETI would never call it; the error is raised on all processes, wherever it was set."""
+    """FETI would never call it; all processes raise, even if one alone has set it."""
     problem = torn_grid((2,), (2,))
     ksp = create_ksp(problem.A)
     if everywhere or COMM.rank == 0:
@@ -83,8 +86,8 @@ def test_convergence_test_is_refused(everywhere, torn_grid, create_ksp, lifetime
         ksp.solve(b, x)
 
 
-def test_assembled_matrix(caplog, lifetime):
-    """The error names both ways to a torn matrix, and is logged for callers in C or C++."""
+def test_error_for_an_assembled_matrix_is_also_logged(caplog, lifetime):
+    """The error names both ways to a torn matrix; callers in C or C++ only see the log."""
     A = lifetime.own(PETSc.Mat().createAIJ((4, 4), comm=COMM))
     first, last = A.getOwnershipRange()
     for i in range(first, last):
@@ -98,25 +101,26 @@ def test_assembled_matrix(caplog, lifetime):
     ways = r"type .*aij.*LinearProblem\(a, L, bcs=bcs\).*linear_system\(\).*create_torn_matrix"
     with raises(TypeError, ways), python_errors():
         ksp.solve(b, x)
-    said = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
-    agree(len(said) == (1 if COMM.rank == 0 else 0), said)
-    agree(all(re.search(ways, text) for text in said), said)
+    logged = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
+    agree(len(logged) == (1 if COMM.rank == 0 else 0), logged)
+    agree(all(re.search(ways, text) for text in logged), logged)
 
 
-def test_monitor_of_gmres_knows_the_start(torn_grid, create_ksp):
-    """GMRES estimates the assembled residual; at the start it is measured."""
+def test_first_norm_of_gmres_is_measured(torn_grid, create_ksp):
+    """GMRES estimates the assembled residual later on; at the start it is that of CG."""
     problem = torn_grid(**GRID)
-    seen = {}
+    histories = {}
     for method in ("cg", "gmres"):
         ksp = create_ksp(problem.A, feti_dual_ksp_type=method, feti_interior="keep")
         ksp.setConvergenceHistory()
         solve(ksp, problem, random_values(problem))
-        seen[method] = ksp.getConvergenceHistory()
-    agree(all(np.isfinite(norms).all() for norms in seen.values()), seen)
-    small(seen["gmres"][0] / seen["cg"][0] - 1.0, 1e-6)
+        histories[method] = ksp.getConvergenceHistory()
+    agree(all(np.isfinite(norms).all() for norms in histories.values()), histories)
+    small(histories["gmres"][0] / histories["cg"][0] - 1.0, 1e-6)
 
 
-def test_view_and_report(torn_grid, create_ksp, lifetime, tmp_path):
+def test_view_prints_the_report(torn_grid, create_ksp, lifetime, tmp_path):
+    """ksp.view lists options, sizes, kernels and the condition number of the report."""
     problem = torn_grid((2, 2), (3, 3), components=2)
     path = tmp_path / "view"
 
@@ -140,8 +144,8 @@ def test_view_and_report(torn_grid, create_ksp, lifetime, tmp_path):
         solve(ksp, problem, random_values(problem))
         report = ksp.getPythonContext().report()
         expected += [kind, "dirichlet", f"{report.multipliers}", "MiB", "condition number"]
-        shown = text(ksp)
-        agree(all(word in shown for word in expected), shown)
+        printed = text(ksp)
+        agree(all(word in printed for word in expected), printed)
     agree(report.subdomains == 4 and report.dofs == 98 and report.torn_dofs == 128, report)
     agree(report.dofs_local == (32, 32) and report.kernels == (0, 0, 0, 4), report)
     agree(report.coarse_size == 12 and report.exact == 4 and report.coarse_inertia == (0, 0))
@@ -155,8 +159,8 @@ def test_view_and_report(torn_grid, create_ksp, lifetime, tmp_path):
     ("formulation", "expected"),
     [("dual", [3, 5, 2, 3, 3, 2, 2]), ("primal", [3, 5, 4, 3, 3, 2, 2])],
 )
-def test_log_events(formulation, expected, torn_grid, create_ksp):
-    """-log_view counts the phases; the columns of the primal form outlast the coarse matrix."""
+def test_log_view_counts_each_phase(formulation, expected, torn_grid, create_ksp):
+    """The columns of the primal form outlast the coarse matrix."""
     PETSc.Log.begin()
     names = ("FETIGluing", "FETIFactor", "FETICoarse", "FETISolve", "FETIIterations")
     names += ("FETISchur", "FETIModes", "FETISchurProduct", "FETILocalSolve", "FETICoarseSolve")
@@ -171,13 +175,13 @@ def test_log_events(formulation, expected, torn_grid, create_ksp):
     solve(ksp, problem, random_values(problem, SEED + 4))
     problem.local.scale(2.0)
     solve(ksp, problem, random_values(problem))
-    found = counts() - before
-    equal(found[:7], expected)
-    agree(found[7:].min() > 0, found)
+    added = counts() - before
+    equal(added[:7], expected)
+    agree(added[7:].min() > 0, added)
 
 
-def test_no_load_needs_no_iteration(torn_grid, create_ksp):
-    """This also holds if the whole boundary is moved as a rigid body."""
+def test_zero_load_needs_no_iteration(torn_grid, create_ksp):
+    """A rigid motion prescribed on the whole boundary is solved, too."""
     problem = torn_grid((2, 2), (2, 2), components=2)
     ksp = create_ksp(problem.A)
     context = solved(ksp, problem, 0.0, values=np.zeros(len(problem.dirichlet)))
@@ -186,7 +190,8 @@ def test_no_load_needs_no_iteration(torn_grid, create_ksp):
     solved(ksp, problem, values=np.where(problem.dirichlet, motion, 0.0))
 
 
-def test_absolute_tolerance(torn_grid, create_ksp):
+def test_absolute_tolerance_ends_a_solve(torn_grid, create_ksp):
+    """-ksp_atol bounds the residual on the free dofs."""
     problem = torn_grid((2, 2), (3, 3), components=2)
     values = random_values(problem)
     ksp = create_ksp(problem.A, ksp_rtol=1e-14, ksp_atol=1e-3, feti_coarse_q="identity")
@@ -206,7 +211,8 @@ OPTIONS = [
 
 
 @pytest.mark.parametrize("options", OPTIONS)
-def test_krylov_methods_and_subsolvers_by_prefix(options, torn_grid, create_ksp):
+def test_options_reach_krylov_methods_and_subsolvers_by_prefix(options, torn_grid, create_ksp):
+    """Each choice of the Krylov method, coarse solver or factorisation gives the solution."""
     problem = torn_grid((3, 2), (3, 3), components=2)
     context = solved(create_ksp(problem.A, ksp_rtol=1e-10, **options), problem)
     agree(context.method == options.get("feti_dual_ksp_type", "cg"))
@@ -221,14 +227,16 @@ TRANSPOSED = [
 
 
 @pytest.mark.parametrize("options", TRANSPOSED)
-def test_transposed_solve_of_a_symmetric_matrix(options, torn_grid, create_ksp, lifetime):
-    """It is a solve: first, after another one, and after the matrix has changed."""
+def test_transposed_solve_of_a_symmetric_matrix_is_a_solve(
+    options, torn_grid, create_ksp, lifetime
+):
+    """It may be the first one, follow a solve, or follow a change of the matrix."""
     problem = torn_grid((3, 2), (3, 3))
     b, x, y = (lifetime.own(problem.A.createVecRight()) for _ in range(3))
     b.array[:] = np.arange(1.0, len(b.array_r) + 1.0)
     ksp = create_ksp(problem.A, ksp_rtol=1e-10, **options)
     ksp.solveTranspose(b, x)
-    agree(ksp.getConvergedReason() > 0, ksp.getConvergedReason())
+    agree(ksp.getConvergedReason() > 0)
     ksp.solve(b, y)
     equal(x.array_r, y.array_r, 1e-8)
     problem.local.scale(2.0)
@@ -238,8 +246,8 @@ def test_transposed_solve_of_a_symmetric_matrix(options, torn_grid, create_ksp, 
 
 
 @pytest.mark.parametrize("way", ["KSP", "problem"])
-def test_transposed_solve_of_another_matrix(way):
-    """The message names the adjoint form, which solves Aᵀ y = c: c·A⁻¹ b = y·b."""
+def test_transposed_solve_of_an_unsymmetric_matrix_is_refused(way):
+    """The error names the adjoint form, which solves Aᵀ y = c: c·A⁻¹ b = y·b."""
     mesh = cube(2, 6)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = ufl.TrialFunction(V)
@@ -265,8 +273,8 @@ def test_transposed_solve_of_another_matrix(way):
     small(values[0] / values[1] - 1.0, 1e-8)
 
 
-def test_assembled_matrices_are_refused(torn_grid, lifetime):
-    """The message, which PETSc prints with the traceback, says what to do."""
+def test_set_up_refuses_an_assembled_matrix(torn_grid, lifetime):
+    """The error, which PETSc prints with the traceback, says how to create a torn one."""
     problem = torn_grid((2,), (2,))
     assembled = lifetime.own(PETSc.Mat())
     problem.A.convert("aij", assembled)
@@ -279,17 +287,17 @@ def test_assembled_matrices_are_refused(torn_grid, lifetime):
         context.setUp(ksp)
 
 
-def test_symmetry_is_looked_at_after_a_failed_set_up(torn_grid, create_ksp, lifetime):
+def test_symmetry_is_detected_again_after_a_failed_set_up(torn_grid, create_ksp, lifetime):
     """The first set-up fails for NaN; the next matrix is not symmetric."""
     problem = torn_grid((2, 2), (3, 3))
     ksp = create_ksp(problem.A, ksp_rtol=1e-10)
     values = random_values(problem)
     solve(ksp, problem, values)
-    keep = lifetime.own(problem.local.copy())
+    original = lifetime.own(problem.local.copy())
     problem.local.scale(np.nan)
     reason, _ = solve(ksp, problem, values)
     agree(reason == Reason.DIVERGED_PCSETUP_FAILED)
-    keep.copy(problem.local, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
+    original.copy(problem.local, structure=PETSc.Mat.Structure.SAME_NONZERO_PATTERN)
     weight = lifetime.own(problem.local.createVecLeft())
     weight.array[:] = 1.0 + 0.05 * np.cos(np.arange(weight.getSize()))
     problem.local.diagonalScale(weight)
@@ -303,8 +311,8 @@ def test_symmetry_is_looked_at_after_a_failed_set_up(torn_grid, create_ksp, life
 
 
 @pytest.mark.parametrize("before", [False, True])
-def test_a_tolerance_set_by_hand_stays(before, torn_grid, lifetime):
-    """Set before the type, PETSc's default 1e-5 looks like the same number set by hand."""
+def test_tolerance_set_by_the_user_is_kept(before, torn_grid, lifetime):
+    """Setting the type replaces PETSc's default by FETI's, and no other tolerance."""
     ksp = lifetime.own(PETSc.KSP().create(COMM))
     ksp.setOperators(torn_grid((2,), (2,)).A)
     if before:
@@ -318,8 +326,8 @@ def test_a_tolerance_set_by_hand_stays(before, torn_grid, lifetime):
     agree(ksp.getTolerances()[0] == (1e-6 if before else 1e-5), ksp.getTolerances())
 
 
-def test_the_users_monitor_of_the_dual_method_stays(torn_grid, create_ksp, tmp_path):
-    """It sees every solve, also where the user's own tolerance decides."""
+def test_monitor_of_the_dual_method_sees_every_solve(torn_grid, create_ksp, tmp_path):
+    """This includes solves that end by the user's tolerance of the dual method."""
     problem = torn_grid(**GRID)
     file = tmp_path / "monitor"
     ksp = create_ksp(
@@ -333,7 +341,8 @@ def test_the_users_monitor_of_the_dual_method_stays(torn_grid, create_ksp, tmp_p
     agree(0 < counts[0] < counts[1], counts)
 
 
-def test_the_outer_limit_of_iterations_holds_with_a_dual_tolerance(torn_grid, create_ksp):
+def test_iteration_limit_holds_with_a_dual_tolerance(torn_grid, create_ksp):
+    """-ksp_max_it counts, although the dual method has a tolerance from the user."""
     problem = torn_grid(**GRID)
     ksp = create_ksp(problem.A, feti_dual_ksp_rtol=1e-12, ksp_max_it=3, feti_coarse_q="identity")
     reason, _ = solve(ksp, problem, random_values(problem))
@@ -341,8 +350,8 @@ def test_the_outer_limit_of_iterations_holds_with_a_dual_tolerance(torn_grid, cr
 
 
 @pytest.mark.parametrize("scale", [1e-8, 1.0, 1e8])
-def test_minres_is_judged_by_its_own_norm(scale, torn_grid, create_ksp):
-    """It is the preconditioned one: it says nothing about whether the jump is what it should be."""
+def test_minres_takes_about_the_iterations_of_cg(scale, torn_grid, create_ksp):
+    """MINRES ends by its preconditioned norm, which does not bound the jump."""
     problem = torn_grid(stiffness=lambda i: scale * 100.0 ** (i % 2), **GRID)
     counts = {}
     for method in ("cg", "minres"):
@@ -359,8 +368,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.fixture
-def printed(capfd):
-    """Return what PETSc has printed since the last call, on all processes."""
+def read_output(capfd):
+    """Return a function that returns what PETSc has printed since its last call."""
 
     def read():
         return COMM.bcast(capfd.readouterr().out)
@@ -371,38 +380,39 @@ def printed(capfd):
 
 @pytest.mark.parametrize("value", [None, "ascii", True])
 @every_formulation
-def test_one_table_for_a_solver(value, formulation, solve_linear, printed):
+def test_ksp_view_prints_one_table_for_each_solver(value, formulation, solve_linear, read_output):
+    """It is printed at the first solve and fits on a screen."""
     problem = elasticity(cube(2, 6))
     linear = solve_linear(problem, 4, {"ksp_view": value, "feti_formulation": formulation})
-    first = printed()
+    first = read_output()
     agree(first.count("KSP Object") == 1 and first.count("\n") <= 24, first)  # a screen
     agree(f"{formulation} form" in first and f" {COMM.size} MPI process" in first, first)
     linear.solve()
-    agree(printed() == "", "a second table")
+    agree(read_output() == "", "a second table")
     linear.diagnose()
-    agree(printed().count("KSP Object") == 1, "another solver")
+    agree(read_output().count("KSP Object") == 1, "another solver")
 
 
-def test_view_that_is_asked_for(solve_linear, printed):
-    """At each solve, or by ``ksp.view()``, which always answers; and no other."""
+def test_requested_views_are_printed_each_time(solve_linear, read_output):
+    """A format of the user's prints at each solve, and ksp.view() at each call."""
     problem = poisson(cube(2, 6))
     linear = solve_linear(problem, 4, {"ksp_view": "::ascii_info_detail"})
     linear.solve()
-    said = printed()
-    agree(said.count("type: python") == 2 and said.count("multipliers") == 2, said)
-    agree(said.count("Mat Object") >= 2, said)
+    output = read_output()
+    agree(output.count("type: python") == 2 and output.count("multipliers") == 2, output)
+    agree(output.count("Mat Object") >= 2, output)
     linear = solve_linear(problem, 4)
-    agree(printed() == "")
+    agree(read_output() == "")
     for _ in range(2):
         linear.solver.view()
-        agree("multipliers" in printed())
+        agree("multipliers" in read_output())
 
 
 LINE = r"^(?:KSP Object|  [a-z]).*"  # of a table
 
 
-def blocks(page, heading, language):
-    """Return the blocks of code below a heading of a page."""
+def code_blocks(page, heading, language):
+    """Return the blocks of code in a language below a heading of a page of the documentation."""
     section = (DOCS / page).read_text(encoding="utf-8").partition(f"\n## {heading}\n")[2]
     return re.findall(rf"^```{language}\n(.*?)^```", section.partition("\n## ")[0], re.M | re.S)
 
@@ -411,16 +421,16 @@ def blocks(page, heading, language):
 @pytest.mark.parametrize(
     ("page", "prefix", "sample"), [("usage.md", "beam_", 0), ("nonlinear.md", "wall_", 1)]
 )
-def test_sample_of_the_documentation(page, prefix, sample, printed):
-    """The programs of the pages print their tables once, line by line as reading.md has them."""
+def test_view_has_the_lines_that_the_documentation_shows(page, prefix, sample, read_output):
+    """The programs of the pages print the table of reading.md, up to its numbers."""
     heading = {"usage.md": "A linear problem", "nonlinear.md": "A nonlinear problem"}[page]
-    program = max(blocks(page, heading, "python"), key=len)
+    program = max(code_blocks(page, heading, "python"), key=len)
     with inserted(prefix, {"ksp_view": None}):
         exec(compile(program, page, "exec"), {})
-    said = printed()
-    agree(said.count("KSP Object") == 1, said)
+    output = read_output()
+    agree(output.count("KSP Object") == 1, output)
     shapes = [
         [re.sub(r"-?\d+(\.\d+)?(e-?\d+)?", "0", line) for line in re.findall(LINE, text, re.M)]
-        for text in (blocks("reading.md", "Reading `-ksp_view`", "")[sample], said)
+        for text in (code_blocks("reading.md", "Reading `-ksp_view`", "")[sample], output)
     ]
-    agree(shapes[0] == shapes[1] and len(shapes[1]) >= 10, (shapes, said))
+    agree(shapes[0] == shapes[1] and len(shapes[1]) >= 10, (shapes, output))

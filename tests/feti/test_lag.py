@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A preconditioner that is kept for later matrices: solutions are the same, and it is renewed."""
+"""A preconditioner that is kept for later matrices leaves solutions as they are, and is renewed."""
 
 import logging
 import weakref
@@ -23,10 +23,10 @@ from dolfinx_feti.torn.matrix import set_condensed_pressures
 Reason = PETSc.KSP.ConvergedReason
 
 GRID = case((2, 2), (4, 3), 2)
-OTHER = [1e4, 1.0, 1e-3, 1e2]
+OTHER_MATERIAL = [1e4, 1.0, 1e-3, 1e2]
 
 
-def scale(problem, factors):
+def scale_subdomains(problem, factors):
     """Multiply the matrices of all subdomains, in the torn matrix and in ``problem.K``."""
     diagonal = problem.local.createVecLeft()
     rows = [np.full(len(problem.K[i]), factors[i]) for i in own_subdomains(len(problem.K))]
@@ -39,81 +39,86 @@ def scale(problem, factors):
 
 
 @pytest.fixture
-def primal(torn_grid, create_ksp):
-    """Make a problem and a KSP in the primal form whose preconditioner lasts."""
+def create_primal_ksp(torn_grid, create_ksp):
+    """Return a function that creates a problem and a KSP with a lasting primal preconditioner."""
 
     def create(*, newton=True, **options):
         problem = torn_grid(**GRID)
-        given = {"feti_formulation": "primal", "ksp_rtol": 1e-11, **options}
-        return problem, create_ksp(problem.A, FETI(newton=newton), **given)
+        settings = {"feti_formulation": "primal", "ksp_rtol": 1e-11, **options}
+        return problem, create_ksp(problem.A, FETI(newton=newton), **settings)
 
     return create
 
 
-def check(problem, ksp):
-    """Solve, compare with LU, and return the age of the preconditioner."""
+def age_after_solve(problem, ksp):
+    """Assert that a solve agrees with LU; return the age of the preconditioner."""
     return solved(ksp, problem).age
 
 
-def fail(*args, **kwargs):
+def raise_set_up_error(*args, **kwargs):
+    """Fail in place of a part of the set-up."""
     raise SetUpError("no room today")
 
 
-def push(K, dofs):
+def soften_second_subdomain(K, dofs):
+    """Reduce the diagonal so that D of the second subdomain has negative eigenvalues."""
     K[1] -= 0.002 * np.diag(K[1].diagonal())  # D of this subdomain gets negative eigenvalues
 
 
 @every_type
 @every_interior
-def test_serves_later_matrices(kind, interior, primal):
-    problem, ksp = primal(feti_type=kind, feti_interior=interior, feti_lag=2)
-    ages = [check(problem, ksp)]
+def test_preconditioner_serves_later_matrices(kind, interior, create_primal_ksp):
+    """Its age grows up to -feti_lag, and renew() has it set up at the next solve."""
+    problem, ksp = create_primal_ksp(feti_type=kind, feti_interior=interior, feti_lag=2)
+    ages = [age_after_solve(problem, ksp)]
     for factor in (1.1, 0.9, 1.2, 0.95):
-        scale(problem, [factor, 1.0, 1.0 / factor, 1.0])
-        ages.append(check(problem, ksp))
-    agree(ages == [0, 1, 2, 0, 1], ages)
+        scale_subdomains(problem, [factor, 1.0, 1.0 / factor, 1.0])
+        ages.append(age_after_solve(problem, ksp))
+    agree(ages == [0, 1, 2, 0, 1])
     report = ksp.getPythonContext().report()
     agree(report.age == 1 and "dirichlet, set up 1 matrix ago" in format_report(report))
-    scale(problem, [1.1, 1.0, 1.0, 1.0])
+    scale_subdomains(problem, [1.1, 1.0, 1.0, 1.0])
     ksp.getPythonContext().renew()
-    agree(check(problem, ksp) == 0)
+    agree(age_after_solve(problem, ksp) == 0)
 
 
 @pytest.mark.parametrize("lag", [0, 6])
-def test_nothing_is_left_of_an_operator(lag, primal, monkeypatch):
-    """It is freed before that of the next matrix is set up, since memory may not hold both."""
-    problem, ksp = primal(feti_interior="eliminate", feti_lag=lag)
-    left = []
-    last = []
+def test_operator_is_freed_before_the_next_is_set_up(lag, create_primal_ksp, monkeypatch):
+    """Memory may not hold the Schur complements of two matrices."""
+    problem, ksp = create_primal_ksp(feti_interior="eliminate", feti_lag=lag)
+    survivors = []
+    previous = []
 
-    def watched(*arguments):
-        left.extend(S() is not None for S in last)
+    def create_watched(*arguments):
+        survivors.extend(S() is not None for S in previous)
         return create_schur_operator(*arguments)
 
-    monkeypatch.setattr("dolfinx_feti.feti.setup.create_schur_operator", watched)
+    monkeypatch.setattr("dolfinx_feti.feti.setup.create_schur_operator", create_watched)
     for factor in (1.0, 1.1, 0.9):
-        scale(problem, [factor, 1.0, 1.0, 1.0])
-        check(problem, ksp)
+        scale_subdomains(problem, [factor, 1.0, 1.0, 1.0])
+        age_after_solve(problem, ksp)
         operator = ksp.getPythonContext().formulation.operator
-        last = [weakref.ref(S_i.matrix) for S_i in operator.by_subdomain]
-    agree(not any(left) and COMM.allreduce(len(left)) == 8, left)
+        previous = [weakref.ref(S_i.matrix) for S_i in operator.by_subdomain]
+    agree(not any(survivors) and COMM.allreduce(len(survivors)) == 8, survivors)
 
 
 @every_interior
 @pytest.mark.parametrize("lag", [0, 6])
-def test_ritz_vectors_serve_later_matrices(interior, lag, primal):
-    """They outlive the preconditioner, but not the Newton solve."""
+def test_ritz_vectors_serve_later_matrices(interior, lag, create_primal_ksp):
+    """Ritz vectors outlast the preconditioner, and end with the Newton solve."""
     counts = {}
-    for most in (0, 3):
-        problem, ksp = primal(feti_interior=interior, feti_lag=lag, feti_deflation=most)
+    for max_vectors in (0, 3):
+        problem, ksp = create_primal_ksp(
+            feti_interior=interior, feti_lag=lag, feti_deflation=max_vectors
+        )
         context = ksp.getPythonContext()
-        counts[most] = []
+        counts[max_vectors] = []
         for factor in (1.0, 0.3, 1.1, 0.9, 1.0):
-            scale(problem, [factor, 1.0, 1.0 / factor, 1.0])
-            if len(counts[most]) == 4:
+            scale_subdomains(problem, [factor, 1.0, 1.0 / factor, 1.0])
+            if len(counts[max_vectors]) == 4:
                 context.renew()
-            check(problem, ksp)
-            counts[most].append(context.report().ritz_vectors)
+            age_after_solve(problem, ksp)
+            counts[max_vectors].append(context.report().ritz_vectors)
     agree(counts[0] == [0] * 5, counts)
     agree(counts[3][0] == counts[3][4] == 0 and max(counts[3]) <= 3, counts)
     if lag:
@@ -121,18 +126,18 @@ def test_ritz_vectors_serve_later_matrices(interior, lag, primal):
         agree("Ritz vectors" not in format_report(context.report()))
 
 
-def test_linear_solves_leave_no_vectors(torn_grid, create_ksp):
+def test_linear_solves_keep_no_ritz_vectors(torn_grid, create_ksp):
     """Each matrix outside Newton's method is deflated by its own soft fields."""
     options = {"feti_formulation": "primal", "feti_coarse_modes": 0, "ksp_rtol": 1e-11}
     problem = torn_grid(**case((4, 3), (3, 3), 2), change=softened(0.0004))
 
     def deflation_vectors(ksp):
-        check(problem, ksp)
+        age_after_solve(problem, ksp)
         return ksp.getPythonContext().formulation.deflation.W
 
     ksp = create_ksp(problem.A, FETI(), **options)
     of_first_matrix = deflation_vectors(ksp)
-    scale(problem, [1.0 + 0.1 * (i % 3) for i in range(len(problem.K))])
+    scale_subdomains(problem, [1.0 + 0.1 * (i % 3) for i in range(len(problem.K))])
     of_later_matrix = deflation_vectors(ksp)
     expected = deflation_vectors(create_ksp(problem.A, FETI(), **options))
     agree(COMM.allreduce(of_first_matrix.size) > 0, of_first_matrix.shape)
@@ -143,85 +148,92 @@ def test_linear_solves_leave_no_vectors(torn_grid, create_ksp):
 @pytest.mark.parametrize(
     "options", [{"feti_lag": 0}, {"feti_formulation": "dual"}, {"newton": False}]
 )
-def test_never_lasts(options, primal):
-    problem, ksp = primal(**options)
-    ages = [check(problem, ksp)]
-    scale(problem, [1.1, 1.0, 1.0, 1.0])
-    agree([*ages, check(problem, ksp)] == [0, 0])
+def test_preconditioner_is_set_up_for_each_matrix(options, create_primal_ksp):
+    """It is kept neither without a lag, nor in the dual form, nor outside of Newton's method."""
+    problem, ksp = create_primal_ksp(**options)
+    ages = [age_after_solve(problem, ksp)]
+    scale_subdomains(problem, [1.1, 1.0, 1.0, 1.0])
+    agree([*ages, age_after_solve(problem, ksp)] == [0, 0])
 
 
-def test_solve_without_an_iteration_sets_no_rate(primal):
-    """The start is enough for a first matrix, and the next one takes as many as it needs."""
-    problem, ksp = primal()
+def test_solve_without_iterations_does_not_limit_the_next(create_primal_ksp):
+    """The iteration limit of a kept preconditioner follows from earlier iterations, if any."""
+    problem, ksp = create_primal_ksp()
     ksp.setTolerances(atol=1e30)
     reason, _ = solve(ksp, problem, random_values(problem))
     agree(reason > 0 and ksp.getPythonContext().iterations == 0)
     ksp.setTolerances(atol=0.0)
-    scale(problem, [1.5] * len(problem.K))
-    agree(check(problem, ksp) == 1)
+    scale_subdomains(problem, [1.5] * len(problem.K))
+    agree(age_after_solve(problem, ksp) == 1)
 
 
 @every_type
-def test_ends_where_iterations_grow(kind, primal, monkeypatch):
-    """Another material: a solve that is given up is repeated, and its iterations count."""
-    problem, ksp = primal(feti_type=kind)
-    check(problem, ksp)
-    scale(problem, OTHER)
+def test_slow_solve_is_repeated_with_a_new_preconditioner(kind, create_primal_ksp, monkeypatch):
+    """The iterations of the solve that is given up count, too."""
+    problem, ksp = create_primal_ksp(feti_type=kind)
+    age_after_solve(problem, ksp)
+    scale_subdomains(problem, OTHER_MATERIAL)
     with monkeypatch.context() as patience:
         patience.setattr("dolfinx_feti.feti.cache.MAX_GROWTH", 1.0)
-        agree(check(problem, ksp) == 0, "the preconditioner of the first material is of no use")
+        agree(
+            age_after_solve(problem, ksp) == 0,
+            "the preconditioner of the first material is of no use",
+        )
         spent = ksp.getIterationNumber()
-        same, limited = primal(feti_type=kind, ksp_max_it=spent - 1)
-        check(same, limited)
-        scale(same, OTHER)
-        reason, _ = solve(limited, same, random_values(same))
+        second_problem, limited = create_primal_ksp(feti_type=kind, ksp_max_it=spent - 1)
+        age_after_solve(second_problem, limited)
+        scale_subdomains(second_problem, OTHER_MATERIAL)
+        reason, _ = solve(limited, second_problem, random_values(second_problem))
         agree(reason == Reason.DIVERGED_MAX_IT and limited.getIterationNumber() == spent - 1)
-    scale(problem, [1.01, 1.0, 1.0, 1.0])
-    agree(check(problem, ksp) == 1, "that of the repeated solve lasts: what was spent before it")
-    agree(spent > ksp.getIterationNumber(), (spent, ksp.getIterationNumber()))
+    scale_subdomains(problem, [1.01, 1.0, 1.0, 1.0])
+    agree(
+        age_after_solve(problem, ksp) == 1,
+        "that of the repeated solve lasts: what was spent before it",
+    )
+    agree(spent > ksp.getIterationNumber())
 
 
-def test_set_up_that_fails_with_an_old_preconditioner_is_repeated(primal, monkeypatch):
+def test_failed_set_up_with_a_kept_preconditioner_is_repeated(create_primal_ksp, monkeypatch):
     """The present matrix may still be set up on its own."""
-    problem, ksp = primal()
-    check(problem, ksp)
-    scale(problem, [1.1, 1.0, 1.0, 1.0])
-    monkeypatch.setattr("dolfinx_feti.feti.cache.set_up_operator", fail)
-    agree(check(problem, ksp) == 0)
+    problem, ksp = create_primal_ksp()
+    age_after_solve(problem, ksp)
+    scale_subdomains(problem, [1.1, 1.0, 1.0, 1.0])
+    monkeypatch.setattr("dolfinx_feti.feti.cache.set_up_operator", raise_set_up_error)
+    agree(age_after_solve(problem, ksp) == 0)
 
 
-def test_indefinite_matrix_is_told(primal, caplog):
-    """Negative curvature is that of the matrix, whatever the preconditioner's age."""
-    problem, ksp = primal()
-    check(problem, ksp)
-    scale(problem, [1.0, 1.0, 1.0, -1.0])
+def test_indefinite_matrix_is_reported_but_not_logged(create_primal_ksp, caplog):
+    """Negative curvature is a property of the matrix, whatever the preconditioner's age."""
+    problem, ksp = create_primal_ksp()
+    age_after_solve(problem, ksp)
+    scale_subdomains(problem, [1.0, 1.0, 1.0, -1.0])
     with caplog.at_level(logging.INFO, "dolfinx_feti"):
         reason, _ = solve(ksp, problem, random_values(problem))
-    agree(reason == Reason.DIVERGED_INDEFINITE_MAT, reason)
+    agree(reason == Reason.DIVERGED_INDEFINITE_MAT)
     agree("indefinite" in ksp.getPythonContext().message)
     agree(not caplog.records, "it is for Newton's method to say what this means")
 
 
-@pytest.mark.parametrize("how", ["", "condensed", "fails"])
-def test_other_form_where_matrix_turns_indefinite(
-    how, torn_grid, create_ksp, monkeypatch, stops_at_negative_curvature
+@pytest.mark.parametrize("variant", ["plain", "condensed", "fails"])
+def test_auto_switches_to_the_dual_form_if_the_matrix_turns_indefinite(
+    variant, torn_grid, create_ksp, monkeypatch, stops_at_negative_curvature
 ):
-    """``auto`` switches to the dual formulation, with new factors in double precision.
+    """The dual formulation gets new factors in double precision.
 
-    Where these fail, there is a reason and a message, and no exception out of the solve.
+    If these fail, the solve has a reason and a message, and raises nothing.
     """
-    problem = torn_grid(**GRID, change=push)
-    if how == "condensed":
+    problem = torn_grid(**GRID, change=soften_second_subdomain)
+    if variant == "condensed":
         set_condensed_pressures(problem.A, 3)
     ksp = create_ksp(problem.A, FETI(newton=True), ksp_rtol=1e-11)
-    check(problem, ksp)
+    age_after_solve(problem, ksp)
     agree(ksp.getPythonContext().report().formulation == "primal")
-    scale(problem, [1.0, 1.0, -1.0, 1.0])
-    if how == "fails":
-        monkeypatch.setattr("dolfinx_feti.feti.cache.create_dual_formulation", fail)
+    scale_subdomains(problem, [1.0, 1.0, -1.0, 1.0])
+    if variant == "fails":
+        monkeypatch.setattr("dolfinx_feti.feti.cache.create_dual_formulation", raise_set_up_error)
         reason, _ = solve(ksp, problem, random_values(problem))
-        agree(reason == Reason.DIVERGED_PCSETUP_FAILED, reason)
+        agree(reason == Reason.DIVERGED_PCSETUP_FAILED)
         agree("no room today" in ksp.getPythonContext().message)
     else:
-        agree(check(problem, ksp) == 0)
+        agree(age_after_solve(problem, ksp) == 0)
         agree(ksp.getPythonContext().report().formulation == "dual")

@@ -1,11 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Objects are destroyed: no reference cycles, no growing memory, also after faults.
+"""PETSc's objects are destroyed, without reference cycles and growing memory, also after faults.
 
-The list of functions that fail is generated: all of ``feti/subdomain``, and in other rooms those
-that call LAPACK, BLAS or compiled code, if a solve calls them and they neither are collective nor
-guard.
+The list of functions that are made to fail is generated: all of ``feti/subdomain``, and in other
+rooms those that call LAPACK, BLAS or compiled code, if a solve calls them and they neither are
+collective nor guard.
 """
 
 import faulthandler
@@ -35,20 +35,21 @@ from dolfinx_feti.scalars.border import Border
 from dolfinx_feti.scalars.bordered import BorderedSolver
 
 
-def resident():
-    """Resident memory of this process in MiB."""
+def resident_memory():
+    """Return the resident memory of this process in MiB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * 4096 / 2**20
 
 
 def collect():
+    """Collect Python's garbage, and that of PETSc."""
     gc.collect()
     PETSc.garbage_cleanup()
 
 
 @contextmanager
-def returned(problem):
-    """Assert that nothing refers to the torn matrix and to its local one that did not before."""
+def releases_matrix(problem):
+    """Assert that the block leaves no new reference to the torn matrix and its local one."""
     before = problem.A.getRefCount(), problem.local.getRefCount()
     yield
     collect()
@@ -56,8 +57,8 @@ def returned(problem):
     agree(before == after, (before, after))
 
 
-def created(problem, **options):
-    """Make a KSP for a torn matrix, without destroying it."""
+def create_ksp_without_owner(problem, **options):
+    """Create a KSP for a torn matrix; the caller destroys it."""
     ksp = PETSc.KSP().create(COMM)
     ksp.setOptionsPrefix("memory_")
     ksp.setOperators(problem.A)
@@ -70,17 +71,17 @@ def created(problem, **options):
 
 @pytest.mark.parametrize("solved", [False, True])
 @pytest.mark.parametrize(
-    ("formulation", "parts"),
+    ("formulation", "components"),
     [("dual", ("torn", "system", "operator")), ("primal", ("coarse", "deflation", "operator"))],
 )
-def test_problem_is_freed_without_the_collector(solved, formulation, parts, without_collector):
-    """A cycle would leave the collective destruction of PETSc objects to chance."""
+def test_problem_is_freed_without_the_collector(solved, formulation, components, without_collector):
+    """Reference cycles would leave the collective destruction of PETSc objects to chance."""
     linear = torn(poisson(cube(2, 4)), 6, feti_formulation=formulation)
     context = linear.solver.getPythonContext()
     watched = [weakref.ref(linear), weakref.ref(context)]
     if solved:
         linear.solve()
-        for name in parts:
+        for name in components:
             watched.append(weakref.ref(getattr(context.formulation, name)))
     del linear, context
     agree(all(ref() is None for ref in watched), [ref() for ref in watched])
@@ -88,12 +89,12 @@ def test_problem_is_freed_without_the_collector(solved, formulation, parts, with
 
 @pytest.mark.parametrize("pc_type", ["dirichlet", "lumped", "identity"])
 @every_type
-def test_matrix_is_its_owners_again(kind, pc_type, torn_grid):
+def test_destroyed_solver_has_no_reference_to_the_matrix(kind, pc_type, torn_grid):
     """A solver may be destroyed twice, unused, and after a second matrix."""
     problem = torn_grid((2, 2), (2, 2), components=2)
-    with returned(problem):
+    with releases_matrix(problem):
         for steps in range(4):
-            ksp = created(problem, feti_type=kind, feti_pc_type=pc_type)
+            ksp = create_ksp_without_owner(problem, feti_type=kind, feti_pc_type=pc_type)
             context = ksp.getPythonContext()
             for _ in range(min(steps, 2)):
                 before = context.formulation
@@ -108,17 +109,18 @@ def test_matrix_is_its_owners_again(kind, pc_type, torn_grid):
             agree(context.report() is None)
 
 
-def test_failed_set_up_leaves_nothing(torn_grid):
+def test_failed_set_up_leaves_no_reference_to_the_matrix(torn_grid):
+    """A singular matrix fails after much of the set-up is done."""
     problem = torn_grid((2, 2), (2, 2), components=2, fixed=nowhere)
-    with returned(problem):
-        ksp = created(problem)
+    with releases_matrix(problem):
+        ksp = create_ksp_without_owner(problem)
         ksp.setUp()
         agree("singular" in ksp.getPythonContext().message)
         ksp.destroy()
 
 
-def test_operators_outlive_the_problem():
-    """The user's own references stay valid."""
+def test_solution_outlives_the_problem():
+    """The user's function keeps its values, and the matrix is destroyed with its problem."""
     linear = torn(poisson(cube(2, 4)), 6)
     u = linear.solve()
     A = linear.A
@@ -140,8 +142,8 @@ FORMS = {
 
 @pytest.mark.parametrize("null_space", [False, True])
 @each("options", FORMS)
-def test_nothing_waits_for_the_collector(options, null_space, torn_grid, create_ksp):
-    """Near kernel, null space and matrix are replaced between solves; all owners end together."""
+def test_no_object_waits_for_petsc_garbage_cleanup(options, null_space, torn_grid, create_ksp):
+    """Near kernel, null space and matrix are replaced between solves, on all processes alike."""
     grid = case((3, 2), (2, 2), **({"fixed": nowhere} if null_space else {}))
     if null_space:
         options = {**options, "feti_type": "all_floating"}
@@ -172,20 +174,20 @@ def test_nothing_waits_for_the_collector(options, null_space, torn_grid, create_
     agree(not garbage(COMM), garbage(COMM))
 
 
-@pytest.mark.parametrize("what", ["create", "solve", "refresh"])
-def test_memory_does_not_grow(what):
-    """It grows by less than 0.1 MiB a round; a system takes several MiB.
+@pytest.mark.parametrize("action", ["create", "solve", "refresh"])
+def test_memory_does_not_grow(action):
+    """Resident memory grows by less than 0.1 MiB a round; a system takes several MiB.
 
-    A leak grows in each of the windows; an arena or a cache that the allocator takes once, in one.
+    A leak grows in each of the windows; an arena or a cache of the allocator in one of them.
     """
     problem = elasticity(cube(3, 4))
     linear = torn(problem, 6)
     linear.solve()
 
-    def work():
-        if what == "create":
+    def repeat():
+        if action == "create":
             torn(problem, 6).solve()
-        elif what == "solve":
+        elif action == "solve":
             linear.solve()
         else:
             linear._system.tangent._K.mat.stateIncrease()
@@ -194,19 +196,19 @@ def test_memory_does_not_grow(what):
 
     rounds = 5
     windows = 4
-    sizes = [resident()]
+    sizes = [resident_memory()]
     for _ in range(windows):
         for _ in range(rounds):
-            work()
-        sizes.append(resident())
+            repeat()
+        sizes.append(resident_memory())
     grown = np.diff(sizes)
     agree(grown.min() < 0.1 * rounds, f"{grown} MiB in {rounds} rounds each")
 
 
-def test_one_copy_of_the_matrix():
-    """Factors and interface rows included, a system holds less than six times the matrix.
+def test_system_takes_less_than_six_times_the_matrix():
+    """Factors and interface rows are included.
 
-    The benchmark measures the peak; this only finds a second factorisation or a dense array.
+    The benchmark measures the peak; this test only finds a second factorisation or a dense array.
     """
     linear = torn(elasticity(cube(3, 6)), 6)
     linear.solve()
@@ -220,7 +222,7 @@ def test_one_copy_of_the_matrix():
 # ---- work that fails on one process ends set-up and solve on all, and leaves nothing ----------
 
 #: Seconds after which processes are taken to wait for each other: all end then.
-LONG = 60
+TIMEOUT = 60
 
 #: Options, whether the matrix is unsymmetric, and whether a scalar unknown borders it.
 FAULTY = {
@@ -235,7 +237,7 @@ FAULTY = {
 GUARDED = ("destroy", "load", "complete")
 
 
-def fault(*_args, **_how):
+def raise_fault(*_args, **_how):
     """Raise an error in place of any function."""
     raise ArithmeticError("a fault")
 
@@ -248,11 +250,11 @@ def calls_numerics(function):
 
 
 def local_functions():
-    """Find the functions that work on the subdomains of one process alone."""
+    """Yield name and function of all that work on the subdomains of one process alone."""
     for info in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
         module = importlib.import_module(info.name)
         inside = info.name.startswith(package.__name__ + ".subdomain.")
-        classes = [found for found in vars(module).values() if inspect.isclass(found)]
+        classes = [value for value in vars(module).values() if inspect.isclass(value)]
         for member in [m for owner in (module, *classes) for m in vars(owner).values()]:
             if not inspect.isfunction(member) or member.__module__ != info.name:
                 continue
@@ -264,9 +266,9 @@ def local_functions():
                 yield f"{info.name}.{member.__qualname__}", member
 
 
-def message_of(problem, options, *, bordered):
-    """Set a solver up and solve; return what it says, or raises; empty if all is well."""
-    ksp = created(problem, **options)
+def message_of_solve(problem, options, *, bordered):
+    """Set up and solve; return the message of the solver or of an error, empty if all is well."""
+    ksp = create_ksp_without_owner(problem, **options)
     b = problem.vector(random_values(problem))
     x = problem.A.createVecRight()
     try:
@@ -286,7 +288,7 @@ def message_of(problem, options, *, bordered):
             owned.destroy()
 
 
-def called(work):
+def called_functions(work):
     """Return the code of all functions that are called."""
     codes = set()
     sys.setprofile(lambda frame, _event, _argument: codes.add(frame.f_code))
@@ -301,28 +303,29 @@ def called(work):
 @pytest.mark.filterwarnings("ignore:Assigning a code object")  # of a generator
 @each(("options", "skew", "bordered"), FAULTY)
 def test_fault_on_one_process_is_an_error_on_all(options, skew, bordered, torn_grid, caplog):
+    """Each local function is made to fail on one process; none waits, and no object is left."""
     change = unsymmetric(0.02, skew=True) if skew else None
     problem = torn_grid((2, 2), (3, 2), components=2, change=change)
-    solved = partial(message_of, problem, options, bordered=bordered)
-    codes = called(lambda: agree(not solved(), solved()))
+    solver_message = partial(message_of_solve, problem, options, bordered=bordered)
+    codes = called_functions(lambda: agree(not solver_message(), solver_message()))
     functions = {n: f for n, f in sorted(dict(local_functions()).items()) if f.__code__ in codes}
     for name in COMM.bcast(sorted(functions)):
         function = functions[name]
-        faulthandler.dump_traceback_later(LONG, exit=True)
+        faulthandler.dump_traceback_later(TIMEOUT, exit=True)
         code = function.__code__
         if COMM.rank == 1:
-            function.__code__ = fault.__code__
+            function.__code__ = raise_fault.__code__
         try:
-            said = solved()
+            message = solver_message()
         finally:
             function.__code__ = code
             faulthandler.cancel_dump_traceback_later()
         # By default, the dual formulation takes over where the primal one cannot be set up.
         warned = logged_messages(caplog)
         caplog.clear()
-        said = " ".join([said, *warned])
-        agree("fault" in said or "Error" in said, (name, said))
+        message = " ".join([message, *warned])
+        agree("fault" in message or "Error" in message, (name, message))
         gc.collect()
         agree(not garbage(COMM), (name, garbage(COMM)))
     agree(len(functions) > 30, sorted(functions))
-    agree(not solved())
+    agree(not solver_message())

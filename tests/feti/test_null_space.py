@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A null space given to the matrix: solved in its complement, or refused with what is wrong."""
+"""Problems with a null space are solved in its complement; a wrong one is refused by its fault."""
 
 from dataclasses import replace
 
@@ -44,17 +44,17 @@ METHODS = {
 every_method = each("options", METHODS)
 
 
-def changed(free, form, *, add=True):
-    """Add a form of u and v to the matrix of a problem, or put it in its place."""
+def with_form(free, form, *, add=True):
+    """Return the problem with a form of u and v added to its bilinear form, or in its place."""
     u = ufl.TrialFunction(free.V)
     v = ufl.TestFunction(free.V)
     return replace(free, a=form(u, v) * ufl.dx + (free.a if add else 0))
 
 
-def vectors_laplacian(mesh):
-    """Two constants, and no rotation, are the kernel."""
+def vector_laplacian(mesh):
+    """Return a problem whose kernel is two constants, without the rotation."""
     free = elasticity(mesh, clamped=None)
-    return changed(free, lambda u, v: ufl.inner(ufl.grad(u), ufl.grad(v)), add=False)
+    return with_form(free, lambda u, v: ufl.inner(ufl.grad(u), ufl.grad(v)), add=False)
 
 
 FREE = {
@@ -63,16 +63,17 @@ FREE = {
     "elasticity, P1": (lambda: elasticity(cube(2, 7), clamped=None), 3),
     "elasticity, P2": (lambda: elasticity(cube(2, 4), degree=2, clamped=None), 3),
     "elasticity in space": (lambda: elasticity(cube(3, 2), clamped=None), 6),
-    "Laplacian of a vector": (lambda: vectors_laplacian(cube(2, 6)), 2),
+    "Laplacian of a vector": (lambda: vector_laplacian(cube(2, 6)), 2),
 }
 
 
 def linear_problem(problem, options, subdomains=6):
+    """Tear a problem, with a tight tolerance and further PETSc options."""
     return torn(problem, subdomains, **{"ksp_rtol": RTOL, **options})
 
 
-def give(linear, count=None, scale=1.0):
-    """Attach the first vectors of the near kernel to the matrix as its null space."""
+def attach_null_space(linear, count=None, scale=1.0):
+    """Attach the first vectors of the near kernel to the matrix as its null space; return it."""
     A, b = linear.linear_system()
     b.destroy()
     vectors = [scale * z for z in A.getNearNullSpace().getVecs()[:count]]
@@ -82,7 +83,7 @@ def give(linear, count=None, scale=1.0):
 
 
 def least_squares(linear, b):
-    """Return the shortest solution of the assembled system, whole."""
+    """Return the least-squares solution with the smallest norm, (N,) on each process."""
     K, f = assembled_system(linear.A, b)
     x = np.linalg.lstsq(dense(K), whole(f.array_r), rcond=1e-11)[0]
     K.destroy()
@@ -92,11 +93,11 @@ def least_squares(linear, b):
 
 @every_method
 @each(("create", "dimension"), FREE)
-def test_pure_neumann_problems(create, dimension, options):
-    """PETSc's way: the null space is given to A and removed from b; x is orthogonal to it."""
+def test_pure_neumann_problems_have_the_least_squares_solution(create, dimension, options):
+    """As PETSc documents it: A has the null space, b is made orthogonal to it, and so is x."""
     problem = create()
     linear = linear_problem(problem, options)
-    space = give(linear, dimension)
+    space = attach_null_space(linear, dimension)
     A, b = linear.linear_system()
     space.remove(b)
     x = A.createVecRight()
@@ -110,8 +111,11 @@ def test_pure_neumann_problems(create, dimension, options):
 
 
 @every_formulation
-def test_against_mumps_with_a_dof_prescribed(formulation):
-    """Without a number of subdomains there are two at least; PETSc's null space of constants."""
+def test_constant_null_space_agrees_with_a_prescribed_corner(formulation):
+    """MUMPS's solution with one dof prescribed is the same up to its mean value.
+
+    Without a number of subdomains there are at least two, as a null space requires.
+    """
     mesh = cube(2, 20)
     free = poisson(mesh, degree=2, clamped=None)
     x = ufl.SpatialCoordinate(mesh)
@@ -128,8 +132,8 @@ def test_against_mumps_with_a_dof_prescribed(formulation):
 
 
 @every_method
-def test_what_a_condition_leaves(options):
-    """A plate on rollers: prescribed on one side, in one direction; free in the other."""
+def test_null_space_may_be_a_part_of_the_rigid_motions(options):
+    """A plate on rollers is fixed in one direction, and free to translate in the other."""
     free = elasticity(cube(2, 6), degree=2, clamped=None)
     roll = dirichlet(free.V, left, lambda x: 0.1 + 0.2 * x[1], component=0)
     v = ufl.TestFunction(free.V)
@@ -148,20 +152,20 @@ def test_what_a_condition_leaves(options):
 
 
 @every_formulation
-def test_two_bodies(formulation):
-    """Each has its constant; the sum of both is only a part of the null space."""
+def test_null_space_needs_a_constant_for_each_body(formulation):
+    """The sum of both constants is only a part of the null space."""
     halves = without(cube(2, 8), lambda x: (x[0] > 0.37) & (x[0] < 0.63))
     problem = poisson(halves, clamped=None)
     linear = linear_problem(problem, {"feti_formulation": formulation}, subdomains=12)
     A = linear.A
     constants = linear.A.createVecs()
     x = problem.V.tabulate_dof_coordinates()[: constants[0].getLocalSize(), 0]
-    for z, of_body in zip(constants, (x < 0.5, x > 0.5), strict=True):
-        z.array[:] = of_body
+    for z, is_in_body in zip(constants, (x < 0.5, x > 0.5), strict=True):
+        z.array[:] = is_in_body
         z.normalize()
-    both = constants[0] + constants[1]
-    both.normalize()
-    A.setNullSpace(PETSc.NullSpace().create(vectors=[both], comm=A.comm))
+    sum_of_constants = constants[0] + constants[1]
+    sum_of_constants.normalize()
+    A.setNullSpace(PETSc.NullSpace().create(vectors=[sum_of_constants], comm=A.comm))
     with raises(ConvergenceError, "singular, with a kernel of dimension 2"):
         linear.solve()
     space = PETSc.NullSpace().create(vectors=constants, comm=A.comm)
@@ -172,25 +176,25 @@ def test_two_bodies(formulation):
 
 
 @every_formulation
-def test_slender_and_free(formulation):
+def test_slender_free_body_takes_few_iterations(formulation):
     """Bending takes little energy; rounding errors along the null space must not grow."""
     mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (100, 1)], (200, 2))
     options = {"feti_formulation": formulation, "ksp_rtol": 1e-8}
     linear = linear_problem(elasticity(mesh, clamped=None), options, subdomains=20)
-    linear.A.setTransposeNullSpace(give(linear))
+    linear.A.setTransposeNullSpace(attach_null_space(linear))
     linear.solve()
-    agree(linear.solver.getIterationNumber() < 20, linear.solver.getIterationNumber())
+    agree(linear.solver.getIterationNumber() < 20)
 
 
 @every_formulation
-def test_messages_name_the_remedy(formulation):
-    """Without a null space, or an empty one; with a load that nothing balances; and none after."""
+def test_errors_of_a_free_body_name_the_remedy(formulation):
+    """The null space may be missing or empty, or the load unbalanced."""
     problem = elasticity(cube(2, 5), clamped=None)
     linear = linear_problem(problem, {"feti_formulation": formulation})
-    said = r"dimension 3: .* leave 2 translations and 1 rotation free.*A\.setNullSpace"
-    with raises(ConvergenceError, said):
+    remedy = r"dimension 3: .* leave 2 translations and 1 rotation free.*A\.setNullSpace"
+    with raises(ConvergenceError, remedy):
         linear.solve()
-    space = give(linear)
+    space = attach_null_space(linear)
     with raises(ConvergenceError, "not orthogonal to the null space of A.*setTransposeNullSpace"):
         linear.solve()
     agree(linear.solver.getConvergedReason() == PETSc.KSP.ConvergedReason.DIVERGED_NULL)
@@ -198,26 +202,27 @@ def test_messages_name_the_remedy(formulation):
     u = owned(linear.solve())
     equal(whole(u), least_squares(linear, linear.b), TOLERANCE)
     linear.A.setNullSpace(PETSc.NullSpace().create(comm=linear.A.comm))  # empty
-    with raises(ConvergenceError, said):
+    with raises(ConvergenceError, remedy):
         linear.solve()
 
 
-def scalar(**clamped):
+def small_poisson(**clamped):
+    """Return a Poisson problem on 5 × 5 squares, clamped on the left if not given otherwise."""
     return poisson(cube(2, 5), **clamped)
 
 
 REFUSED = {
     "A resists it": (
-        lambda: changed(scalar(clamped=None), lambda u, v: 1e-3 * ufl.inner(u, v)),
+        lambda: with_form(small_poisson(clamped=None), lambda u, v: 1e-3 * ufl.inner(u, v)),
         {},
         "is not a null vector, A resists it",
     ),
     "unsymmetric": (
-        lambda: changed(scalar(clamped=None), lambda u, v: u.dx(0) * v),
+        lambda: with_form(small_poisson(clamped=None), lambda u, v: u.dx(0) * v),
         {},
         "symmetric",
     ),
-    "moves Dirichlet dofs": (scalar, {}, "is not a null vector, it moves Dirichlet dofs"),
+    "moves Dirichlet dofs": (small_poisson, {}, "is not a null vector, it moves Dirichlet dofs"),
     "not all of it": (
         lambda: elasticity(cube(2, 5), clamped=None),
         {"count": 2},
@@ -232,33 +237,31 @@ REFUSED = {
 
 
 @every_formulation
-@each(("create", "how", "message"), REFUSED)
-def test_vectors_that_are_no_null_space(create, how, message, formulation):
+@each(("create", "arguments", "message"), REFUSED)
+def test_vectors_that_are_no_null_space_are_refused(create, arguments, message, formulation):
+    """The error says what is wrong with them."""
     linear = linear_problem(create(), {"feti_formulation": formulation})
-    give(linear, **how)
+    attach_null_space(linear, **arguments)
     with raises(ConvergenceError, message):
         linear.solve()
 
 
 @every_formulation
 @pytest.mark.serial
-def test_body_in_one_subdomain(formulation):
-    """The kernel is that of an eliminated interior; the message asks for two subdomains."""
+def test_null_space_requires_two_subdomains(formulation):
+    """In a single one the kernel would be that of the eliminated interior."""
     problem = poisson(cube(2, 5), clamped=None)
     options = {"feti_formulation": formulation, "feti_interior": "eliminate"}
     linear = linear_problem(problem, options, subdomains=1)
-    give(linear)
+    attach_null_space(linear)
     with raises(ConvergenceError, "two subdomains, at least"):
         linear.solve()
 
 
 def opposed_springs(share, component, components):
-    """Add springs to one copy of a dof, and subtract them from another: their sum is zero.
+    """Return a change that adds springs to one copy of a dof and subtracts them from another.
 
-    Args:
-        share: Stiffness of the springs, relative to the largest entry of K_i.
-        component: Component of the dofs that have springs.
-        components: Number of components of a node.
+    The springs vanish from the assembled matrix.
     """
 
     def change(K, dofs):
@@ -268,9 +271,9 @@ def opposed_springs(share, component, components):
             for row, dof in enumerate(of_subdomain):
                 if dof % components == component:
                     copies.setdefault(dof, []).append((i, row))
-        for of_dof in copies.values():
-            if len(of_dof) > 1:
-                for sign, (i, row) in zip((1.0, -1.0), of_dof, strict=False):
+        for copies_of_dof in copies.values():
+            if len(copies_of_dof) > 1:
+                for sign, (i, row) in zip((1.0, -1.0), copies_of_dof, strict=False):
                     K[i][row, row] += sign * stiffness
 
     return change
@@ -279,10 +282,10 @@ def opposed_springs(share, component, components):
 @every_formulation
 @pytest.mark.parametrize("share", [1e-6, 1e-2, 1.0])
 @pytest.mark.parametrize("components", [1, 2])
-def test_subdomains_that_resist_the_null_space(
+def test_single_subdomains_may_resist_the_null_space(
     components, share, formulation, torn_grid, create_ksp
 ):
-    """A Z = 0, but K_i Z ≠ 0: the primal form solves, and the dual one names it.
+    """If A Z = 0 but K_i Z ≠ 0, the primal form solves, and the dual form reports it.
 
     With two components the other translation has no springs: a part of the null space is resisted.
     """

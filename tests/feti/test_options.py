@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Options: defaults, choices, misspelt names, and the database as it was found."""
+"""Options are read once, with defaults, checked values and names; the database stays as it is."""
 
 import dataclasses
 import re
@@ -22,19 +22,21 @@ from dolfinx_feti.feti.options import CHOICES, OPTION_TYPES, FETIOptions, read_o
 from dolfinx_feti.problems.solver_options import options_without_effect
 from dolfinx_feti.runtime.petsc_options import inserted, require_prefix, withheld
 
-NUMBERS = [name for name, kind in OPTION_TYPES.items() if kind is int]
-SHARES = [name for name, kind in OPTION_TYPES.items() if kind is float]
+COUNT_OPTIONS = [name for name, kind in OPTION_TYPES.items() if kind is int]
+SHARE_OPTIONS = [name for name, kind in OPTION_TYPES.items() if kind is float]
 
 
-def read(prefix="o_", **options):
+def read_with(prefix="o_", **options):
+    """Return FETI's options with others inserted under a prefix."""
     with inserted(prefix, options):
         return read_options(prefix)
 
 
-def test_defaults_are_those_of_the_class():
-    agree(read() == FETIOptions())
+def test_defaults_are_the_first_choices():
+    """Without options all fields of FETIOptions have their defaults."""
+    agree(read_with() == FETIOptions())
     fields = {field.name: field.default for field in dataclasses.fields(FETIOptions)}
-    agree(len(fields) <= 12 and set(fields) == {*CHOICES, *NUMBERS, *SHARES})
+    agree(len(fields) <= 12 and set(fields) == {*CHOICES, *COUNT_OPTIONS, *SHARE_OPTIONS})
     agree(all(fields[name] == choices[0] for name, choices in CHOICES.items()))
 
 
@@ -42,12 +44,13 @@ def test_defaults_are_those_of_the_class():
     ("name", "value"),
     [
         *((name, value) for name, choices in CHOICES.items() for value in choices),
-        *((name, number) for name in NUMBERS for number in (0, 17)),
-        *((name, share) for name in SHARES for share in (0, 0.5)),
+        *((name, number) for name in COUNT_OPTIONS for number in (0, 17)),
+        *((name, share) for name in SHARE_OPTIONS for share in (0, 0.5)),
     ],
 )
 def test_every_option_is_read(name, value):
-    options = read(**{f"feti_{name}": value})
+    """-feti_NAME sets the field NAME of FETIOptions."""
+    options = read_with(**{f"feti_{name}": value})
     agree(options == dataclasses.replace(FETIOptions(), **{name: value}))
 
 
@@ -58,8 +61,12 @@ BELOW_ONE = "a number ≥ 0 and < 1"
 #: Options, wrong values, and what they are to be.
 WRONG = [
     *((f"feti_{name}", "other", f"one of: .*{CHOICES[name][-1]}") for name in CHOICES),
-    *((f"feti_{name}", wrong, COUNT) for name in NUMBERS for wrong in (-1, "abc", 1.5)),
-    *((f"feti_{name}", wrong, SHARE) for name in SHARES for wrong in (-0.1, 1.5, "nan", "abc")),
+    *((f"feti_{name}", wrong, COUNT) for name in COUNT_OPTIONS for wrong in (-1, "abc", 1.5)),
+    *(
+        (f"feti_{name}", wrong, SHARE)
+        for name in SHARE_OPTIONS
+        for wrong in (-0.1, 1.5, "nan", "abc")
+    ),
     ("ksp_rtol", "abc", BELOW_ONE),
     ("ksp_rtol", 1.0, BELOW_ONE),
     ("snes_rtol", -1e-3, BELOW_ONE),
@@ -73,7 +80,7 @@ WRONG = [
 ]
 
 #: Names of options that do not exist, and those that are meant.
-MISSPELT = {
+MISSPELT_FOR_FETI = {
     "feti_pctype": "feti_pc_type",
     "feti_typ": "feti_type",
     "feti_coarse_qq": "feti_coarse_q",
@@ -86,7 +93,10 @@ MISSPELT = {
 
 REFUSED = [
     *(({name: wrong}, f"-o_{name} is '{wrong}'; it takes {what}") for name, wrong, what in WRONG),
-    *(({n: 1}, f"-o_{n} does not exist; did you mean -o_{meant}") for n, meant in MISSPELT.items()),
+    *(
+        ({n: 1}, f"-o_{n} does not exist; did you mean -o_{meant}")
+        for n, meant in MISSPELT_FOR_FETI.items()
+    ),
     *(({name: 1}, f"-o_{name} does not exist") for name in ("feti_nonsense_at_all", "feti_xyz")),
     ({"pc_type": "lu"}, "-o_pc_type is 'lu', but no preconditioner .*leave it out.*_feti_pc_t"),
     *(
@@ -100,14 +110,14 @@ REFUSED = [
     ("options", "message"),
     [pytest.param(options, message, id=id_of(options, "options")) for options, message in REFUSED],
 )
-def test_refused(options, message):
-    """The error comes when options are read, and lists the choices."""
+def test_wrong_options_are_refused_when_read(options, message):
+    """The error lists the allowed values, or the nearest name."""
     with raises(ValueError, message):
-        read(**options)
+        read_with(**options)
 
 
 #: What is not FETI's own, and counts without a bound.
-OTHERS = {
+OTHER_OPTIONS = {
     "pc_type": "none",
     **dict.fromkeys(("ksp_max_it", "snes_max_it", "snes_max_funcs"), "unlimited"),
     **dict.fromkeys(("feti_dual_ksp_rtol", "ksp_rtol", "snes_rtol"), "0.1"),
@@ -119,10 +129,11 @@ OTHERS = {
 }
 
 
-@pytest.mark.parametrize(("name", "value"), OTHERS.items())
-def test_options_of_others_are_left_alone(name, value):
+@pytest.mark.parametrize(("name", "value"), OTHER_OPTIONS.items())
+def test_options_of_other_solvers_are_ignored(name, value):
+    """These are options of PETSc's sub-solvers, and all under another prefix."""
     with inserted("other_", {"feti_type": "classical", "feti_nonsense": 1}):
-        agree(read(**{name: value}) == FETIOptions())
+        agree(read_with(**{name: value}) == FETIOptions())
 
 
 @pytest.mark.parametrize(
@@ -135,7 +146,7 @@ def test_options_of_others_are_left_alone(name, value):
         ("option", "feti_lag", "x", "-o_feti_lag is 'x'"),
     ],
 )
-def test_ksp_alone(by, name, wrong, message, torn_grid, lifetime):
+def test_wrong_options_are_refused_for_a_ksp_alone(by, name, wrong, message, torn_grid, lifetime):
     """If PETSc replaces the error by another, ours is its cause."""
     ksp = lifetime.own(PETSc.KSP().create(COMM))
     ksp.setOptionsPrefix("o_")
@@ -154,17 +165,19 @@ def test_ksp_alone(by, name, wrong, message, torn_grid, lifetime):
 
 
 def test_prefix_may_be_empty_for_a_solver_alone():
-    agree(read("", feti_type="classical").type == "classical")
+    """A program with one KSP may use options without a prefix."""
+    agree(read_with("", feti_type="classical").type == "classical")
 
 
 @pytest.mark.parametrize("prefix", ["", None, 3, b"x_"])
-def test_prefix_of_a_problem_may_not(prefix):
+def test_prefix_of_a_problem_must_not_be_empty(prefix):
+    """Several problems of a program would share their options."""
     with raises(ValueError, "petsc_options_prefix is .*non-empty"):
         require_prefix(prefix)
 
 
-def test_options_vanish_and_others_come_back():
-    """Those that are inserted, and those that are withheld, also after an error."""
+def test_inserted_and_withheld_options_restore_the_database():
+    """This holds after nested blocks and after an error in a block."""
     database = PETSc.Options()
     with inserted("o_", {"feti_type": "classical", "kept": 7, "flag": None}):
         before = database.getAll()
@@ -181,8 +194,8 @@ def test_options_vanish_and_others_come_back():
             agree(database.getAll() == before)
 
 
-def test_options_of_another_solver():
-    """Those that are without effect, and not those of FETI or of what it hands on."""
+def test_options_without_effect_are_found():
+    """They choose another KSP, PC or SNES; FETI's and those it passes on are not among them."""
     others = {
         "ksp_type": "preonly",
         "pc_type": "lu",
@@ -191,23 +204,23 @@ def test_options_of_another_solver():
         "snes_type": "newtonls",
         "snes_linesearch_type": "bt",
     }
-    own = {"feti_pc_type": "lumped", "feti_local_pc_type": "lu", "ksp_rtol": 1e-6, "snes_atol": 1}
-    with inserted("o_", others | own), inserted("other_", {"ksp_type": "cg"}):
+    used = {"feti_pc_type": "lumped", "feti_local_pc_type": "lu", "ksp_rtol": 1e-6, "snes_atol": 1}
+    with inserted("o_", others | used), inserted("other_", {"ksp_type": "cg"}):
         agree(options_without_effect("o_") == others)
     with inserted("o_", {"ksp_type": "python", "snes_type": "python", "pc_type": "none"}):
         agree(options_without_effect("o_") == {})
 
 
-def test_problems_share_the_command_line_and_no_options():
-    """Options that the user has put under a prefix; those in the call take precedence.
+def test_problems_read_only_options_of_their_prefix():
+    """Options of a call take precedence over those of the command line.
 
     The database is left as it was.
     """
     problem = elasticity(cube(2, 4))
     with inserted("a_", {"feti_type": "classical", "feti_scaling": "multiplicity"}):
         before = PETSc.Options().getAll()
-        given = {"feti_pc_type": "lumped", "feti_scaling": "stiffness", "ksp_rtol": 1e-9}
-        first = torn(problem, 4, "a_", **given)
+        call_options = {"feti_pc_type": "lumped", "feti_scaling": "stiffness", "ksp_rtol": 1e-9}
+        first = torn(problem, 4, "a_", **call_options)
         second = torn(problem, 4, "b_", feti_pc_type="identity")
         for linear in (first, second):
             linear.solve()
@@ -223,7 +236,8 @@ def test_problems_share_the_command_line_and_no_options():
 # -- options that nothing reads, and arguments that do not exist
 
 
-def diffusion(*, nonlinear, **options):
+def diffusion_problem(*, nonlinear, **options):
+    """Return a linear or nonlinear problem of diffusion; options are PETSc's, without prefix."""
     body = poisson(cube(2, 5))
     common = {"bcs": body.bcs, "petsc_options_prefix": "unread_", "petsc_options": options}
     if not nonlinear:
@@ -232,7 +246,7 @@ def diffusion(*, nonlinear, **options):
     return NonlinearProblem(ufl.action(body.a, u) - body.L, u, subdomains=4, **common)
 
 
-MISSPELT = {
+MISSPELT_IN_PROBLEMS = {
     "ksp_rtoll": "ksp_rtol",
     "kps_rtol": "ksp_rtol",
     "ksp_max_its": "ksp_max_it",
@@ -246,47 +260,50 @@ MISSPELT = {
 
 @pytest.mark.parametrize("way", ["argument", "command line"])
 @pytest.mark.parametrize("nonlinear", [False, True])
-@pytest.mark.parametrize("name", MISSPELT)
-def test_misspelt_options(name, nonlinear, way, caplog):
-    """Named with the nearest one, once, after the first solve; the database is left alone."""
+@pytest.mark.parametrize("name", MISSPELT_IN_PROBLEMS)
+def test_misspelt_options_are_reported_once_with_the_nearest_name(name, nonlinear, way, caplog):
+    """The warning follows the first solve, and the database is left as it was."""
     if way == "command line" and name in ("-ksp_rtol", "unread_ksp_rtol"):
         pytest.skip("on the command line the prefix is not put in front of it")
-    on_line = {name: "1e-3"} if way == "command line" else {}
-    given = {name: "1e-3"} if way == "argument" else {}
-    with inserted("unread_", on_line):
+    command_line = {name: "1e-3"} if way == "command line" else {}
+    arguments = {name: "1e-3"} if way == "argument" else {}
+    with inserted("unread_", command_line):
         before = PETSc.Options().getAll()
-        problem = diffusion(nonlinear=nonlinear, ksp_rtol=1e-9, **given)
+        problem = diffusion_problem(nonlinear=nonlinear, ksp_rtol=1e-9, **arguments)
         for _ in range(2):
             problem.solve()
         problem.create_linear_solver().destroy()
         agree(PETSc.Options().getAll() == before)
-    (said,) = logged_messages(caplog)
-    agree(f"-unread_{name} 1e-3: did you mean -unread_{MISSPELT[name]}?" in said, said)
+    (warning,) = logged_messages(caplog)
+    agree(
+        f"-unread_{name} 1e-3: did you mean -unread_{MISSPELT_IN_PROBLEMS[name]}?" in warning,
+        warning,
+    )
 
 
-def test_option_unlike_all_others(caplog):
-    """Of the argument it is certainly this problem's; of the command line it may be another's."""
+def test_unknown_option_of_a_call_is_reported(caplog):
+    """An unknown option of the command line may belong to another program part."""
     with inserted("unread_", {"other_thing": 1, "b_ksp_rtol": 1e-3}):
-        diffusion(nonlinear=False, colour="red").solve()
-    (said,) = logged_messages(caplog)
-    agree("-unread_colour red: see docs/petsc_options.md" in said, said)
-    agree("other_thing" not in said and "b_ksp_rtol" not in said, said)
+        diffusion_problem(nonlinear=False, colour="red").solve()
+    (warning,) = logged_messages(caplog)
+    agree("-unread_colour red: see docs/petsc_options.md" in warning, warning)
+    agree("other_thing" not in warning and "b_ksp_rtol" not in warning, warning)
 
 
-def test_options_that_are_read(caplog, tmp_path):
-    """There is no warning for monitors, views, tolerances and options of sub-solvers."""
-    nothing = f"ascii:{COMM.bcast(str(tmp_path))}/out"
+def test_options_that_are_read_cause_no_warning(caplog, tmp_path):
+    """These are monitors, views, tolerances and options of sub-solvers."""
+    file = f"ascii:{COMM.bcast(str(tmp_path))}/out"
     names = ("ksp_monitor", "ksp_view", "ksp_converged_reason", "ksp_view_solution")
-    given = dict.fromkeys(names, nothing)
-    given |= {"ksp_rtol": 1e-9, "ksp_atol": 1e-30, "ksp_max_it": 200}
-    given |= {"feti_type": "classical", "feti_formulation": "dual", "feti_dual_ksp_type": "cg"}
-    given |= {"feti_coarse_ksp_type": "preonly", "feti_coarse_q": "diagonal"}
-    given |= {"ksp_error_if_not_converged": True}
-    snes = dict.fromkeys(("snes_monitor", "snes_view", "snes_converged_reason"), nothing)
+    options = dict.fromkeys(names, file)
+    options |= {"ksp_rtol": 1e-9, "ksp_atol": 1e-30, "ksp_max_it": 200}
+    options |= {"feti_type": "classical", "feti_formulation": "dual", "feti_dual_ksp_type": "cg"}
+    options |= {"feti_coarse_ksp_type": "preonly", "feti_coarse_q": "diagonal"}
+    options |= {"ksp_error_if_not_converged": True}
+    snes = dict.fromkeys(("snes_monitor", "snes_view", "snes_converged_reason"), file)
     snes |= {"snes_rtol": 1e-9, "snes_max_it": 20, "snes_error_if_not_converged": True}
     for nonlinear in (False, True):
-        diffusion(nonlinear=nonlinear, **given, **(snes if nonlinear else {})).solve()
-    agree(logged_messages(caplog) == [], logged_messages(caplog))
+        diffusion_problem(nonlinear=nonlinear, **options, **(snes if nonlinear else {})).solve()
+    agree(logged_messages(caplog) == [])
 
 
 WITHOUT_EFFECT = ["snes_mf", "snes_fd", "snes_lag_jacobian", "snes_stol", "snes_npc_side"]
@@ -294,19 +311,20 @@ WITHOUT_EFFECT += ["ksp_initial_guess_nonzero", "ksp_norm_type", "ksp_divtol", "
 
 
 @pytest.mark.parametrize("name", WITHOUT_EFFECT)
-def test_options_that_petsc_reads_in_vain(name, caplog):
+def test_options_that_petsc_reads_without_effect_are_reported(name, caplog):
+    """PETSc does read them, but its solver is replaced by FETI or by our Newton's method."""
     value = {"snes_npc_side": "left", "ksp_norm_type": "none"}.get(name, 1)
-    diffusion(nonlinear=True, **{name: value}).solve()
-    (said,) = logged_messages(caplog)
-    agree(f"Without effect: -unread_{name}" in said, said)
+    diffusion_problem(nonlinear=True, **{name: value}).solve()
+    (warning,) = logged_messages(caplog)
+    agree(f"Without effect: -unread_{name}" in warning, warning)
 
 
 @pytest.mark.parametrize("prefix", ["", "o_"])
-def test_misspelt_option_of_a_solver_alone(prefix, caplog, torn_grid, lifetime):
-    """A KSP of the user's own says so after its first solve, with a prefix and without."""
+def test_misspelt_option_of_a_ksp_alone_is_reported(prefix, caplog, torn_grid, lifetime):
+    """A KSP of the user's own warns once after its first solve, with or without a prefix."""
     A = torn_grid((2, 2), (3, 3)).A
-    given = {"ksp_rtoll": "1e-3", "feti_dual_ksp_maxit": 7, "ksp_rtol": 1e-6}
-    with inserted(prefix, {**given, "feti_type": "classical"}):
+    misspelt = {"ksp_rtoll": "1e-3", "feti_dual_ksp_maxit": 7, "ksp_rtol": 1e-6}
+    with inserted(prefix, {**misspelt, "feti_type": "classical"}):
         ksp = lifetime.own(PETSc.KSP().create(COMM))
         ksp.setOptionsPrefix(prefix)
         ksp.setOperators(A)
@@ -317,15 +335,18 @@ def test_misspelt_option_of_a_solver_alone(prefix, caplog, torn_grid, lifetime):
         b.set(1.0)
         for _ in range(2):
             ksp.solve(b, x)
-    said = [text for text in logged_messages(caplog) if "nothing has read" in text]
-    agree(len(said) == 1, said)
-    agree(f"-{prefix}ksp_rtoll 1e-3: did you mean -{prefix}ksp_rtol?" in said[0], said)
-    agree(f"did you mean -{prefix}feti_dual_ksp_max_it?" in said[0], said)
-    agree(f"-{prefix}feti_type" not in said[0] and f"-{prefix}ksp_rtol " not in said[0], said)
+    warnings = [text for text in logged_messages(caplog) if "nothing has read" in text]
+    agree(len(warnings) == 1, warnings)
+    agree(f"-{prefix}ksp_rtoll 1e-3: did you mean -{prefix}ksp_rtol?" in warnings[0], warnings)
+    agree(f"did you mean -{prefix}feti_dual_ksp_max_it?" in warnings[0], warnings)
+    agree(
+        f"-{prefix}feti_type" not in warnings[0] and f"-{prefix}ksp_rtol " not in warnings[0],
+        warnings,
+    )
 
 
 @pytest.mark.parametrize(
-    ("wrong", "near"),
+    ("wrong", "nearest"),
     [
         ("subdomain", "subdomains"),
         ("petsc_option", "petsc_options"),
@@ -336,12 +357,15 @@ def test_misspelt_option_of_a_solver_alone(prefix, caplog, torn_grid, lifetime):
     ],
 )
 @pytest.mark.parametrize("nonlinear", [False, True])
-def test_misspelt_arguments(wrong, near, nonlinear):
+def test_misspelt_arguments_are_refused_with_the_nearest_name(wrong, nearest, nonlinear):
+    """An argument unlike all others is refused with Python's own message."""
     body = poisson(cube(2, 2))
     u = dolfinx.fem.Function(body.V)
-    made = NonlinearProblem if nonlinear else LinearProblem
+    problem_class = NonlinearProblem if nonlinear else LinearProblem
     forms = (ufl.action(body.a, u) - body.L, u) if nonlinear else (body.a, body.L)
-    with raises(TypeError, rf"{made.__name__}\(\) got .* '{wrong}'. Did you mean '{near}'\?"):
-        made(*forms, **{wrong: None})
+    with raises(
+        TypeError, rf"{problem_class.__name__}\(\) got .* '{wrong}'. Did you mean '{nearest}'\?"
+    ):
+        problem_class(*forms, **{wrong: None})
     with raises(TypeError, "got an unexpected keyword argument 'colour'$"):
-        made(*forms, colour="red")
+        problem_class(*forms, colour="red")

@@ -25,13 +25,25 @@ from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import Steps
 from dolfinx_feti.torn.matrix import Torn
 
-MILD = (2.0, 10.0)
-PHYSIOLOGICAL = (2.0, 10.0, 30.0)
-TIGHT = {"snes_rtol": 1e-10}
+MILD_PRESSURES = (2.0, 10.0)
+PHYSIOLOGICAL_PRESSURES = (2.0, 10.0, 30.0)
+TIGHT_TOLERANCE = {"snes_rtol": 1e-10}
 
 
 def check_every_step(degree, subdomains, pressures, *, tangent="symmetric", kappa=1e3, **options):
-    """Inflate; hold each Newton step against its residual and MUMPS; return its iterations."""
+    """Inflate a tube; assert that each linear solve has its residual and agrees with MUMPS.
+
+    Args:
+        degree: Degree of the displacement.
+        subdomains: Number of subdomains.
+        pressures: Pressures to be solved for, one after the other [mmHg].
+        tangent: Kind of the pressure's tangent.
+        kappa: κ [kPa].
+        **options: PETSc options without prefix.
+
+    Returns:
+        Linear iterations of each Newton step.
+    """
     body = wall(tube(), degree=degree, tangent=tangent, kappa=kappa)
     problem = body.problem(subdomains, {"ksp_rtol": 1e-8} | options)
     errors = errors_of_solves(problem)
@@ -44,34 +56,37 @@ def check_every_step(degree, subdomains, pressures, *, tangent="symmetric", kapp
 
 @pytest.mark.parametrize("subdomains", [1, 4, 16])
 @pytest.mark.parametrize(("degree", "growth"), [(1, 2.0), (2, 2.5)])
-def test_iterations_hardly_grow(degree, growth, subdomains):
-    """Many subdomains of P1 buckle; the stabilisation limits the iterations."""
-    pressures = PHYSIOLOGICAL if degree == 1 or subdomains < 16 else MILD
+def test_iterations_hardly_grow_with_the_pressure(degree, growth, subdomains):
+    """Many subdomains of P1 buckle alone; the stabilisation limits the iterations."""
+    pressures = PHYSIOLOGICAL_PRESSURES if degree == 1 or subdomains < 16 else MILD_PRESSURES
     iterations = check_every_step(degree, subdomains, pressures)
     small(max(iterations) / max(iterations[0], 5), growth)  # the coarse space nearly solves
 
 
 @pytest.mark.parametrize("tangent", ["none", "full"])
 @pytest.mark.parametrize("degree", [1, 2])
-def test_other_tangents_of_the_load(degree, tangent):
-    check_every_step(degree, 4, MILD, tangent=tangent)
+def test_every_tangent_of_the_load_is_solved(degree, tangent):
+    """The load's tangent is left out, or complete and unsymmetric."""
+    check_every_step(degree, 4, MILD_PRESSURES, tangent=tangent)
 
 
 @every_type
 @pytest.mark.parametrize("scaling", ["stiffness", "multiplicity"])
-def test_other_methods(kind, scaling):
+def test_every_type_and_scaling_is_solved_under_pressure(kind, scaling):
+    """Linear solves agree with MUMPS in each Newton step, for P1 and P2."""
     for degree, subdomains in ((1, 6), (2, 3)):
-        check_every_step(degree, subdomains, MILD, feti_type=kind, feti_scaling=scaling)
+        check_every_step(degree, subdomains, MILD_PRESSURES, feti_type=kind, feti_scaling=scaling)
 
 
 @pytest.mark.parametrize("preconditioner", ["lumped", "identity"])
-def test_other_preconditioners(preconditioner):
-    check_every_step(1, 4, MILD, kappa=100.0, feti_pc_type=preconditioner)
+def test_other_preconditioners_are_solved_under_pressure(preconditioner):
+    """Linear solves agree with MUMPS in each Newton step."""
+    check_every_step(1, 4, MILD_PRESSURES, kappa=100.0, feti_pc_type=preconditioner)
 
 
 @pytest.mark.parametrize(("kind", "kappa"), [("all_floating", 1000.0), ("classical", 1e5)])
-def test_up_to_300_mmhg(kind, kappa):
-    """There are few load steps, accurate linear solves, and as many iterations as at rest."""
+def test_wall_is_inflated_to_300_mmhg(kind, kappa):
+    """There are few load steps, and linear solves take about the iterations of the first."""
     body = wall(tube(), kappa=kappa)
     problem = body.problem(6, {"feti_type": kind})
 
@@ -96,7 +111,7 @@ def test_up_to_300_mmhg(kind, kappa):
 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_rotations_turn_the_internal_forces(degree):
-    """K·(ω × x) = ω × f_int on every subdomain, with the deformed x: Π is frame indifferent."""
+    """K (ω × x) = ω × f_int in each subdomain, for the deformed x: Π is frame indifferent."""
     body = wall(tube(), degree=degree)
     body.u.interpolate(lambda x: 0.05 * np.stack([x[1] * x[2], np.sin(x[0]), x[0] ** 2 - x[1]]))
     body.p.interpolate(lambda x: 2.0 + np.cos(3 * x[0]))
@@ -117,11 +132,11 @@ def test_rotations_turn_the_internal_forces(degree):
     torn.destroy()
 
 
-def test_kernel_is_exact_without_load_only(create_dual):
-    """D = 0 as long as K R = 0; under load the rotations leave the kernel, translations stay.
+def test_kernel_is_exact_only_without_load(create_dual):
+    """D = 0 as long as K R = 0; under load rotations leave the kernel, and translations stay.
 
-    Without the load's tangent, that is: it holds on to translations as well. The record and the
-    report count negative eigenvalues under load, and none without.
+    The tangent of the load is left out, since it resists translations. The record and the report
+    count negative eigenvalues under load, and none at rest.
     """
     body = wall(tube(), tangent="none")
     problem = body.problem(4, {"feti_coarse_modes": 0, "feti_lag": 0})
@@ -145,12 +160,12 @@ def test_kernel_is_exact_without_load_only(create_dual):
 
 
 @pytest.mark.parametrize("rests", [False, True])
-def test_full_tangent_needs_gmres_and_leads_to_the_same_wall(rests):
-    """Without load the full tangent is symmetric; the solver notices that it does not stay so."""
+def test_full_tangent_takes_gmres_and_gives_the_same_wall(rests):
+    """Without load it is symmetric, and the solver detects when it no longer is."""
     expected = wall(tube())
     body = wall(tube(), tangent="full")
-    expected.inflate(expected.problem(4, TIGHT), [10.0])
-    problem = body.problem(4, TIGHT)
+    expected.inflate(expected.problem(4, TIGHT_TOLERANCE), [10.0])
+    problem = body.problem(4, TIGHT_TOLERANCE)
     if rests:
         body.u.interpolate(lambda x: 0.01 * np.stack([x[0], x[1], 0 * x[2]]))
         body.inflate(problem, [0.0])
@@ -162,18 +177,18 @@ def test_full_tangent_needs_gmres_and_leads_to_the_same_wall(rests):
 
 
 def clamped_below(V):
-    """Hold all that lies on z = 0."""
+    """Return the condition that all dofs on z = 0 are zero."""
     return [dirichlet(V, lambda x: np.isclose(x[2], 0.0))]
 
 
 def free_tube(tangent):
-    """A tube clamped at one end, 8 160 dofs."""
+    """Return a tube clamped at one end, 8 160 dofs."""
     body = wall(tube(around=16, along=4, length=1.2), tangent=tangent)
     return replace(body, bcs=clamped_below(body.u.function_space))
 
 
 def free_block(tangent, cells=6):
-    """A neo-Hookean cube clamped below, under pressure above, P2–P0 with κ = 1000 kPa."""
+    """Return a neo-Hookean cube clamped below, under pressure above, P2–P0 with κ = 1000 kPa."""
     mesh = cube(3, cells)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     u, p = (dolfinx.fem.Function(W) for W in (V, dolfinx.fem.functionspace(mesh, ("DG", 0))))
@@ -188,8 +203,8 @@ def free_block(tangent, cells=6):
 
 
 @pytest.mark.parametrize("create", [free_tube, free_block])
-def test_iterations_are_those_of_the_symmetric_part(create):
-    """At 10 mmHg, for a random load: GMRES against CG, and the solution against LU."""
+def test_gmres_takes_about_the_iterations_of_the_symmetric_part(create):
+    """At 10 mmHg with a random load; both solutions agree with LU."""
     counts = {}
     for tangent in ("symmetric", "full"):
         body = create(tangent)
@@ -213,8 +228,8 @@ def test_iterations_are_those_of_the_symmetric_part(create):
     agree(counts["full"] <= 1.3 * counts["symmetric"], counts)
 
 
-def test_path_of_a_block_with_a_free_rim():
-    """Each Newton step of a path takes about the iterations of the first."""
+def test_gmres_iterations_do_not_grow_along_a_load_path():
+    """Each Newton step for a block with a free rim takes about the iterations of the first."""
     body = free_block("full", 4)
     steps = body.inflate(body.problem(8, {"ksp_rtol": 1e-8}), [4.0, 8.0])
     iterations = [step.linear_iterations for step in steps]

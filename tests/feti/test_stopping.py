@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""When a linear solve has converged: by residual and estimated error, even if a load is stiff."""
+"""A linear solve converges by residual and estimated error, which a penalty cannot hide."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ QUADRILATERAL = dolfinx.mesh.CellType.quadrilateral
 ACCURATE = 1e-6
 
 
-def check(problem, tolerance=ACCURATE):
-    """Assert that a problem is solved as MUMPS does; return the FETI context."""
+def check_against_mumps(problem, tolerance=ACCURATE):
+    """Assert that a solution agrees with MUMPS, and η with its error; return the FETI context."""
     u = problem.solve()
     exact = direct_solution(problem)
     small(off_by(owned(u), exact), tolerance)
@@ -64,11 +64,11 @@ def check(problem, tolerance=ACCURATE):
 
 @every_formulation
 @pytest.mark.parametrize("ratio", [1e2, 1e4, 1e6, 1e8, 1e10], ids="{:g}".format)
-def test_spring(ratio, formulation):
-    """The iterations do not grow with the penalty, which the residual is relative to."""
+def test_iterations_do_not_grow_with_a_penalty(ratio, formulation):
+    """The residual is relative to the penalty, so the estimated error ends the solve."""
     problem = torn(spring_bar(bar_mesh(2), ratio), 6, feti_formulation=formulation)
-    feti = check(problem)
-    agree(feti.iterations <= 20, feti.iterations)
+    feti = check_against_mumps(problem)
+    agree(feti.iterations <= 20)
 
 
 MESHES = {
@@ -84,16 +84,17 @@ MESHES = {
 @every_formulation
 @pytest.mark.parametrize("body", [spring_bar, nitsche_bar, heavy_bar, jump_bar])
 @each("mesh", MESHES)
-def test_elements(mesh, body, formulation):
+def test_penalties_are_solved_accurately_with_every_element(mesh, body, formulation):
+    """Springs, Nitsche's method, heavy ends and stiffness jumps hide errors from the residual."""
     dim, cell, cells, degree = mesh
     ratio = 1e4 if body is jump_bar else 1e7
     problem = torn(body(bar_mesh(dim, cell, cells), ratio, degree), 6, feti_formulation=formulation)
-    check(problem)
+    check_against_mumps(problem)
 
 
 @every_formulation
-def test_robin_condition(formulation):
-    """Heat conduction with a heat transfer coefficient of 1e8 to a temperature of 20."""
+def test_large_heat_transfer_coefficient_is_solved_accurately(formulation):
+    """Heat conduction with a coefficient of 1e8 to a temperature of 20."""
     mesh = cube(3, 6)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     T = ufl.TrialFunction(V)
@@ -101,7 +102,9 @@ def test_robin_condition(formulation):
     ds = tagged(mesh, lambda x: np.isclose(x[0], 1.0))(1)
     a = ufl.inner(ufl.grad(T), ufl.grad(v)) * ufl.dx + 1e8 * T * v * ds
     L = v * ufl.dx + 1e8 * 20.0 * v * ds
-    check(torn(Problem(V, a, L, [dirichlet(V, left)]), 6, feti_formulation=formulation))
+    check_against_mumps(
+        torn(Problem(V, a, L, [dirichlet(V, left)]), 6, feti_formulation=formulation)
+    )
 
 
 METHODS = {
@@ -119,10 +122,10 @@ METHODS = {
 
 @every_type
 @each(("share", "options"), METHODS)
-def test_penalty_by_hand(share, options, kind, torn_grid, create_ksp):
-    """A thousand million times the stiffness on the diagonal of one end, by each method.
+def test_every_method_is_accurate_beside_a_penalty(share, options, kind, torn_grid, create_ksp):
+    """A thousand million times the stiffness is added to the diagonal at one end.
 
-    Of an unsymmetric matrix a share of the entries is random.
+    A share of the entries of an unsymmetric matrix is random.
     """
     k = 1e9
     disturb = unsymmetric(share)
@@ -148,8 +151,8 @@ def test_penalty_by_hand(share, options, kind, torn_grid, create_ksp):
 
 
 @every_formulation
-def test_condensed_pressure(formulation):
-    """A nearly incompressible bar on springs: u and the pressure in each cell."""
+def test_condensed_problem_is_accurate_beside_a_penalty(formulation):
+    """A nearly incompressible bar on springs has a pressure in each cell."""
     mesh = bar_mesh(3, None, 2)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
@@ -171,14 +174,19 @@ def test_condensed_pressure(formulation):
         subdomains=6,
         petsc_options={"feti_formulation": formulation},
     )
-    check(problem)
+    check_against_mumps(problem)
 
 
 # ---- components -----------------------------------------------------------------------------
 
 
 def two_fields(units, h=1e6):
-    """A temperature and a concentration, uncoupled, one with a stiff Robin term, in some units."""
+    """Return two uncoupled Poisson problems, one with a stiff Robin term, as one problem.
+
+    Args:
+        units: For each field, factors of its unknown and of its equation.
+        h: Coefficient of the stiff Robin term.
+    """
     mesh = cube(2, 12)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     u = ufl.TrialFunction(V)
@@ -202,7 +210,7 @@ def two_fields(units, h=1e6):
     ids=["equal", "second-small", "first-small", "other-equations"],
 )
 def test_no_component_hides_another(units, formulation):
-    """The error of each component is small relative to that component."""
+    """The error of each component is small relative to that component, in any units."""
     problem = torn(two_fields(units), 6, feti_formulation=formulation)
     u = owned(problem.solve()).reshape(-1, 2)
     exact = direct_solution(problem).reshape(-1, 2)
@@ -212,8 +220,8 @@ def test_no_component_hides_another(units, formulation):
 
 @pytest.mark.parametrize("body", [two_fields, elasticity])
 @pytest.mark.parametrize("unit", [1e-6, 1e6])
-def test_estimate_does_not_depend_on_units(unit, body):
-    """η of any z and x is the same after one component, and one equation, has another unit."""
+def test_error_estimate_does_not_depend_on_units(unit, body):
+    """η of any z and x is the same after one component and one equation have another unit."""
     problem = torn(body([(1, 1), (1, 1)]) if body is two_fields else body(cube(2, 8)), 4)
     _, b = problem.linear_system()
     feti = problem.create_linear_solver()
@@ -234,30 +242,31 @@ def test_estimate_does_not_depend_on_units(unit, body):
 
 
 @every_formulation
-def test_component_that_vanishes_costs_nothing(formulation):
-    """Plane strain in space: u_z is zero but for rounding, and no accuracy is asked of it."""
+def test_vanishing_component_costs_no_iteration(formulation):
+    """In plane strain u_z is zero but for rounding, and needs no accuracy."""
     mesh = bar_mesh(3, HEXAHEDRON, 3)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
     u = ufl.TrialFunction(V)
     v = ufl.TestFunction(V)
-    e = ufl.sym(ufl.grad(u))
-    a = ufl.inner(2 * e + ufl.tr(e) * ufl.Identity(3), ufl.grad(v)) * ufl.dx
+    strain = ufl.sym(ufl.grad(u))
+    a = ufl.inner(2 * strain + ufl.tr(strain) * ufl.Identity(3), ufl.grad(v)) * ufl.dx
     faces = dirichlet(V, lambda x: np.isclose(x[2], 0) | np.isclose(x[2], 1), component=2)
     problem = torn(
         Problem(V, a, 0.01 * v[1] * ufl.dx, [dirichlet(V, left), faces]),
         6,
         feti_formulation=formulation,
     )
-    feti = check(problem)
+    feti = check_against_mumps(problem)
     agree(
-        np.isnan(feti.error_floor) and feti.iterations == residual_alone(problem), feti.iterations
+        np.isnan(feti.error_floor) and feti.iterations == iterations_by_residual(problem),
+        feti.iterations,
     )
 
 
 @every_formulation
 @pytest.mark.parametrize("stiff", [1.0, 1e6], ids=["alike", "others-stiffer"])
-def test_component_without_a_load_costs_nothing(stiff, formulation):
-    """Three fields that nothing couples, one loaded: the preconditioner mixes error into others."""
+def test_component_without_a_load_costs_no_iteration(stiff, formulation):
+    """Of three uncoupled fields one is loaded; the preconditioner mixes errors into the others."""
     mesh = cube(3, 6)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
     u = ufl.TrialFunction(V)
@@ -269,7 +278,7 @@ def test_component_without_a_load_costs_nothing(stiff, formulation):
     )
     problem.solve()
     feti = problem.solver.getPythonContext()
-    before = residual_alone(problem)
+    before = iterations_by_residual(problem)
     agree(problem.solver.getConvergedReason() == Reason.CONVERGED_RTOL, feti.error_estimate)
     agree(feti.iterations == before, (feti.iterations, before))
 
@@ -279,8 +288,8 @@ def test_component_without_a_load_costs_nothing(stiff, formulation):
 
 @every_formulation
 @pytest.mark.parametrize("units", [1.0, 1e6], ids=["in-units", "in-small-units"])
-def test_scalars(units, formulation, torn_grid, create_ksp):
-    """Two scalars beside a penalty of 1e9 times the stiffness, each right relative to itself."""
+def test_scalars_are_accurate_beside_a_penalty(units, formulation, torn_grid, create_ksp):
+    """Two scalars beside 1e9 times the stiffness are accurate, each relative to itself."""
     k = 1e9
     grid = case((3, 2), (3, 3), 2)
     ends = np.arange(63, 70)
@@ -293,9 +302,9 @@ def test_scalars(units, formulation, torn_grid, create_ksp):
     problem = torn_grid(change=change, **grid)
     rng = np.random.default_rng(3)
     n = len(problem.dirichlet)
-    held = problem.dirichlet
+    is_dirichlet = problem.dirichlet
     b = np.where(np.isin(np.arange(n) // 2, ends), k, 1.0) * rng.standard_normal(n)
-    B = np.where(held[:, None], 0.0, np.sin(problem.x.repeat(2, axis=0))) * [1.0, units]
+    B = np.where(is_dirichlet[:, None], 0.0, np.sin(problem.x.repeat(2, axis=0))) * [1.0, units]
     d = rng.standard_normal(2) * [1.0, units]
     rows = slice(*problem.A.getOwnershipRange())
     solver = BorderedSolver()
@@ -303,20 +312,24 @@ def test_scalars(units, formulation, torn_grid, create_ksp):
     x, s = solver.solve(ksp, problem.A, b[rows], Border(B[rows], B[rows], np.zeros((2, 2))), d)
     context = ksp.getPythonContext()
     agree(ksp.getConvergedReason() > 0, context.message)
-    M = np.block([[np.where(held[:, None], np.eye(n), problem.matrix), B], [B.T, np.zeros((2, 2))]])
-    columns = 1 / np.linalg.norm(M, axis=0)
-    rows_ = 1 / np.linalg.norm(M * columns, axis=1)
-    exact = columns * np.linalg.solve(rows_[:, None] * M * columns, rows_ * np.concatenate([b, d]))
+    M = np.block(
+        [[np.where(is_dirichlet[:, None], np.eye(n), problem.matrix), B], [B.T, np.zeros((2, 2))]]
+    )
+    column_scale = 1 / np.linalg.norm(M, axis=0)
+    row_scale = 1 / np.linalg.norm(M * column_scale, axis=1)
+    exact = column_scale * np.linalg.solve(
+        row_scale[:, None] * M * column_scale, row_scale * np.concatenate([b, d])
+    )
     small(np.abs(whole(x) - exact[:n]).max() / np.abs(exact[:n]).max(), ACCURATE)
     small(np.abs(s / exact[n:] - 1.0).max(), ACCURATE)
-    agree(context.error_estimate <= 1e-8, context.error_estimate)
+    agree(context.error_estimate <= 1e-8)
 
 
 # ---- what it costs --------------------------------------------------------------------------
 
 
-def residual_alone(problem):
-    """Return the iterations of a solve that ends by the residual, as it did before."""
+def iterations_by_residual(problem):
+    """Return the iterations of a solve that ends by its residual, without an error estimate."""
     _, b = problem.linear_system()
     ksp = problem.create_linear_solver()
     x = b.duplicate()
@@ -333,22 +346,25 @@ def residual_alone(problem):
 @pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-12])
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("body", [poisson, elasticity])
-def test_no_iteration_more_without_a_penalty(body, degree, rtol, formulation):
+def test_error_estimate_costs_no_iteration_without_a_penalty(body, degree, rtol, formulation):
+    """The residual then meets its tolerance no sooner than the estimated error."""
     problem = torn(
         body(cube(3, 6 // degree), degree=degree), 8, feti_formulation=formulation, ksp_rtol=rtol
     )
     problem.solve()
     feti = problem.solver.getPythonContext()
-    before = residual_alone(problem)
+    before = iterations_by_residual(problem)
     agree(feti.iterations == before, (feti.iterations, before))
-    agree(feti.error_estimate <= rtol, feti.error_estimate)
+    agree(feti.error_estimate <= rtol)
 
 
 @every_formulation
-def test_penalty_costs_what_its_accuracy_needs(formulation):
-    """A penalty takes as many iterations as none, as the spectrum is the same."""
+def test_penalty_takes_about_the_iterations_of_none(formulation):
+    """The spectrum of the preconditioned matrix is the same."""
     counts = [
-        check(torn(spring_bar(bar_mesh(2), ratio), 6, feti_formulation=formulation)).iterations
+        check_against_mumps(
+            torn(spring_bar(bar_mesh(2), ratio), 6, feti_formulation=formulation)
+        ).iterations
         for ratio in (1.0, 1e8)
     ]
     agree(counts[1] <= 1.3 * counts[0] + 2, counts)
@@ -359,8 +375,8 @@ def test_penalty_costs_what_its_accuracy_needs(formulation):
 
 @every_formulation
 @pytest.mark.parametrize("value", [0.0, 0.3])
-def test_nothing_to_do(value, formulation):
-    """No load: zero, or a rigid motion that is prescribed."""
+def test_zero_load_and_rigid_motion_are_solved(value, formulation):
+    """Prescribed values alone move the body rigidly, or not at all."""
     mesh = bar_mesh(2)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     u = ufl.TrialFunction(V)
@@ -369,13 +385,13 @@ def test_nothing_to_do(value, formulation):
     L = ufl.inner(dolfinx.fem.Constant(mesh, np.zeros(2)), v) * ufl.dx
     bc = dirichlet(V, left, lambda x: np.full((2, x.shape[1]), value))
     problem = torn(Problem(V, a, L, [bc]), 6, feti_formulation=formulation)
-    found = owned(problem.solve())
-    equal(found, np.full(len(found), value), 1e-7 * value)
+    solution = owned(problem.solve())
+    equal(solution, np.full(len(solution), value), 1e-7 * value)
     agree(problem.solver.getConvergedReason() > 0)
 
 
 @every_formulation
-def test_limit_of_iterations_is_told(formulation):
+def test_iteration_limit_is_reported_with_the_estimated_error(formulation):
     """The residual meets its tolerance after few iterations, the estimated error does not."""
     problem = torn(spring_bar(bar_mesh(2), 1e8), 6, feti_formulation=formulation, ksp_max_it=6)
     _, b = problem.linear_system()
@@ -384,12 +400,12 @@ def test_limit_of_iterations_is_told(formulation):
     feti = problem.solver.getPythonContext()
     agree(problem.solver.getConvergedReason() == Reason.DIVERGED_MAX_IT)
     agree("estimated error" in feti.message and feti.residual < 1e-8, feti.message)
-    agree(1e-8 < feti.error_estimate < 1.0, feti.error_estimate)
+    agree(1e-8 < feti.error_estimate < 1.0)
     for used in (b, x):
         used.destroy()
 
 
-def test_own_test_of_the_dual_method_decides():
+def test_user_tolerance_of_the_dual_method_ends_the_solve():
     """It ends early; residual and error are still measured."""
     problem = torn(
         spring_bar(bar_mesh(2), 1e6), 6, feti_formulation="dual", feti_dual_ksp_rtol=1e-2
@@ -403,7 +419,7 @@ def test_own_test_of_the_dual_method_decides():
 
 @every_formulation
 @pytest.mark.parametrize("ratio", [1e8, 1e12], ids="{:g}".format)
-def test_rounding_is_told(ratio, formulation, caplog):
+def test_rounding_errors_are_reported(ratio, formulation, caplog):
     """A stiff block held only by a soft strip: the solution is right, or the error is reported."""
     problem = torn(jump_bar(bar_mesh(2), ratio), 6, feti_formulation=formulation)
     with caplog.at_level(logging.WARNING, "dolfinx_feti"):
@@ -412,16 +428,19 @@ def test_rounding_is_told(ratio, formulation, caplog):
         except ConvergenceError:
             return
     feti = problem.solver.getPythonContext()
-    said = logged_messages(caplog)
-    is_reported = bool(said) or feti.floor > 0.0
-    agree(off <= ACCURATE or is_reported, (off, said, feti.error_estimate))
-    agree((feti.error_floor > 1e-7) == any("estimated error" in line for line in said), said)
+    warnings = logged_messages(caplog)
+    is_reported = bool(warnings) or feti.floor > 0.0
+    agree(off <= ACCURATE or is_reported, (off, warnings, feti.error_estimate))
+    agree(
+        (feti.error_floor > 1e-7) == any("estimated error" in line for line in warnings), warnings
+    )
 
 
 # ---- what is shown --------------------------------------------------------------------------
 
 
-def test_both_numbers_are_shown():
+def test_residual_and_estimated_error_are_reported():
+    """The view, the record of the solve and the diagnosis have both."""
     problem = torn(spring_bar(bar_mesh(2), 1e6), 6, "shown_")
     problem.solve()
     feti = problem.solver.getPythonContext()
@@ -430,5 +449,5 @@ def test_both_numbers_are_shown():
     agree(f"{feti.error_estimate:.1e} of the solution" in rows, rows)
     step = problem.history[0]
     agree(step.linear_error == feti.error_estimate and step.linear_residual == feti.residual)
-    found = problem.diagnose()
-    agree(found.error_estimate <= 1e-8 and "estimated error" in str(found), found)
+    diagnosis = problem.diagnose()
+    agree(diagnosis.error_estimate <= 1e-8 and "estimated error" in str(diagnosis), diagnosis)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Adaptive columns against dense eigenvectors; the products they are computed with; iterations."""
+"""Adaptive columns agree with dense eigenvectors, as do the products they are computed from."""
 
 import itertools
 from types import SimpleNamespace
@@ -50,7 +50,7 @@ class Subdomains:
         return np.linalg.solve(self.S_ρ[i], F)
 
     def columns(self, max_columns, threshold, solve=None):
-        """The adaptive columns of all subdomains."""
+        """Return the adaptive columns of all subdomains, (n_{Γ,i}, k_i) each."""
         return adaptive_columns(
             self.copies,
             lambda i, X: self.A[i] @ X,
@@ -61,12 +61,12 @@ class Subdomains:
         )
 
     def cost(self, i):
-        """δ T_i A T_iᵀ δ."""
+        """Return δ T_i A T_iᵀ δ, (n_{Γ,i}, n_{Γ,i})."""
         δ = self.copies.delta[self.copies.rows[i]]
         return δ[:, None] * self.A[i] * δ
 
     def costs(self, i, U=None):
-        """The eigenvalues χ of fields u with Eᵀ S_ρ u = 0, and Uᵀ S_ρ u = 0 if there is a U."""
+        """Return the eigenvalues χ of fields u with Eᵀ S_ρ u = 0 and, with a U, Uᵀ S_ρ u = 0."""
         u = np.linalg.solve(self.S_ρ[i], scipy.linalg.null_space(self.E[i].T))
         if U is not None:
             u = u @ scipy.linalg.null_space(U.T @ self.S_ρ[i] @ u)
@@ -74,8 +74,8 @@ class Subdomains:
 
 
 @pytest.mark.parametrize("threshold", [0.1, 1.0, 4.0])
-def test_eigenvectors_above_the_threshold(threshold, monkeypatch):
-    """If all may join, all above the threshold are found, with unit energy; others are below it."""
+def test_all_eigenvectors_above_the_threshold_are_found(threshold, monkeypatch):
+    """With enough columns allowed; they have unit energy, and all others are below it."""
     body = Subdomains(12, 30)
     monkeypatch.setattr(f"{ADAPTIVE}.INTERFACE_DOFS_FOR_ALL_COLUMNS", 1)
     monkeypatch.setattr(f"{ADAPTIVE}.MIN_STEPS", 6)
@@ -89,8 +89,8 @@ def test_eigenvectors_above_the_threshold(threshold, monkeypatch):
         agree(body.costs(i, U).max() <= threshold * (1.0 + 1e-8))
 
 
-def test_few_columns_are_the_largest():
-    """A search with a tenth of the interface dofs comes near the largest eigenvalues."""
+def test_limited_columns_approximate_the_largest_eigenvalues():
+    """A search with a tenth of the interface dofs comes close to them."""
     body = Subdomains(INTERFACE_DOFS_FOR_ALL_COLUMNS // 2)
     (U,) = body.columns(60, 0.1)
     χ = body.costs(0)[::-1]
@@ -102,8 +102,8 @@ def test_few_columns_are_the_largest():
 
 
 @pytest.mark.parametrize("threshold", [1e-3, 1e3])
-def test_steps_go_on_while_most_values_are_above_the_threshold(threshold):
-    """To the last step if all are, and no further than the first steps if few are."""
+def test_steps_continue_while_most_values_exceed_the_threshold(threshold):
+    """If all exceed it, to the last step, and if few do, no further than the first ones."""
     body = Subdomains(INTERFACE_DOFS_FOR_ALL_COLUMNS // 4)
     block_sizes = []
 
@@ -116,8 +116,8 @@ def test_steps_go_on_while_most_values_are_above_the_threshold(threshold):
     agree(block_sizes == [1] * steps, block_sizes)
 
 
-def test_small_subdomains_have_few_columns():
-    """They have their share of 640 interface dofs, at most as many columns as dofs, or none."""
+def test_columns_are_allotted_by_interface_dofs():
+    """A subdomain has its share of 640 interface dofs, at most a column for each, or none."""
     body = Subdomains(
         0,
         1,
@@ -127,14 +127,14 @@ def test_small_subdomains_have_few_columns():
         INTERFACE_DOFS_FOR_ALL_COLUMNS // 2,
     )
     counts = [U.shape[1] for U in body.columns(48, 0.0)]
-    agree(counts == [0, 1, 2, MAX_STEPS, 12, 24], counts)
+    agree(counts == [0, 1, 2, MAX_STEPS, 12, 24])
     agree(all(U.shape == (len(S), 0) for U, S in zip(body.columns(0, 0.0), body.S_ρ, strict=True)))
     body.copies.delta[:] = 0.0
     agree(not any(U.size for U in body.columns(9, 1e-12)))
 
 
 def test_columns_do_not_depend_on_other_subdomains():
-    """Random numbers begin anew with each subdomain, so other subdomains do not matter."""
+    """Random numbers begin anew with each subdomain."""
     together = Subdomains(80, 80)
     alone = Subdomains(80)
     for own, other in ((together.A, alone.A), (together.S_ρ, alone.S_ρ), (together.E, alone.E)):
@@ -144,7 +144,7 @@ def test_columns_do_not_depend_on_other_subdomains():
 
 
 def volume_changes(cells):
-    """K_p: ∫ div φ over each cell of a brick."""
+    """Return K_p, the mean of div φ over each cell of a brick, (cells, dofs)."""
     shape = [n + 1 for n in cells]
     number = np.arange(np.prod(shape)).reshape(shape)
     corners = np.array(list(itertools.product((0, 1), repeat=2)))
@@ -157,10 +157,10 @@ def volume_changes(cells):
 
 @every_type
 @every_interior
-def test_a_large_bulk_modulus_costs_few_iterations(
+def test_adaptive_columns_save_iterations_for_a_large_bulk_modulus(
     kind, interior, torn_grid, create_primal, monkeypatch
 ):
-    """Where κ makes averages costly; where it does not, there are no columns."""
+    """A large κ makes averages costly; with a small κ columns do no harm."""
     monkeypatch.setattr(f"{ADAPTIVE}.INTERFACE_DOFS_FOR_ALL_COLUMNS", 40)
     cells = (4, 4)
     K_p = volume_changes(cells)
@@ -185,8 +185,10 @@ def test_a_large_bulk_modulus_costs_few_iterations(
             )
 
         problem = torn_grid((4, 3), cells, components=2, change=stiffen)
-        more = columns if adaptive else None
-        primal = create_primal(problem, more, type=kind, interior=interior, coarse_modes=0)
+        create_columns = columns if adaptive else None
+        primal = create_primal(
+            problem, create_columns, type=kind, interior=interior, coarse_modes=0
+        )
         _, outcome = primal_form.cg(primal.system, random_part(primal.system.copies.size))
         agree(outcome.reason > 0)
         iterations[κ, adaptive] = outcome.iterations
@@ -199,7 +201,7 @@ def test_a_large_bulk_modulus_costs_few_iterations(
 
 @every_type
 @every_interior
-def test_products_with_the_assembled_matrix(kind, interior, torn_grid, create_primal):
+def test_assembled_products_agree_with_dense_matrices(kind, interior, torn_grid, create_primal):
     """T_i A T_iᵀ of the formed S, with neighbours on any process; δ^−½ S_i δ^−½ otherwise."""
     problem = torn_grid(**GRID)
     primal = create_primal(problem, type=kind, interior=interior)
@@ -209,23 +211,25 @@ def test_products_with_the_assembled_matrix(kind, interior, torn_grid, create_pr
     glued = exact.T.any(axis=1)  # the rows without a prescribed value
     coupled = exact.T @ exact.T.T > 0.0
     product = create_assembled_product(primal.operator, copies)
-    worst = 0.0
+    max_error = 0.0
     for i, block in enumerate(copies.rows):
         rows = np.arange(start + block.start, start + block.stop)
         copies_of = coupled[rows].astype(float)  # T_i Tᵀ: the copies of each row
-        alone = ~glued[rows]
-        copies_of[alone, rows[alone]] = 1.0
+        is_single_copy = ~glued[rows]
+        copies_of[is_single_copy, rows[is_single_copy]] = 1.0
         A = copies_of @ exact.S @ copies_of.T
         if interior == "keep":
-            root = np.where(alone, 1.0, exact.delta[rows]) ** -0.5
+            root = np.where(is_single_copy, 1.0, exact.delta[rows]) ** -0.5
             A = root[:, None] * exact.S[np.ix_(rows, rows)] * root
-        found = product.apply(i, np.eye(len(rows)))
-        worst = max(worst, float(np.abs(found - A).max(initial=0.0) / np.abs(A).max(initial=1.0)))
-    small(worst, 1e-10 if interior == "keep" else 1e-6)  # A is unpacked in single precision
+        product_i = product.apply(i, np.eye(len(rows)))
+        max_error = max(
+            max_error, float(np.abs(product_i - A).max(initial=0.0) / np.abs(A).max(initial=1.0))
+        )
+    small(max_error, 1e-10 if interior == "keep" else 1e-6)  # A is unpacked in single precision
 
 
-def test_rows_in_any_order(torn_grid, create_primal):
-    """The lower triangle of a block, row by row."""
+def test_copied_rows_may_be_in_any_order(torn_grid, create_primal):
+    """The result is the lower triangle of the selected rows and columns, row by row."""
     operator = create_primal(torn_grid(**GRID), interior="eliminate").operator
     code = load_block_code(COMM)
     for i, S_i in enumerate(operator.by_subdomain):

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The coarse matrix of the dual formulation, and the projection, against dense formulas."""
+"""The coarse matrix of the dual formulation and the projection agree with dense formulas."""
 
 from petsc4py import PETSc
 
@@ -17,7 +17,7 @@ SEED = 33107
 every_q = pytest.mark.parametrize("q", ["identity", "diagonal", "preconditioner"])
 
 
-def weight(problem, formulation, q):
+def dense_weight(problem, formulation, q):
     """Return the weight Q of the projection by its definition, (m, m)."""
     B_D = dense(formulation.preconditioner.B_D.matrix)
     if q == "identity":
@@ -32,8 +32,10 @@ def weight(problem, formulation, q):
 @every_type
 @every_q
 @each("change", {"no prestress": None, "prestress": scaled_diagonal(1.02)})
-def test_projection(kind, q, change, torn_grid, create_dual):
-    """G = B E, N = GᵀQG + D; P² = P and GᵀP = 0 for D = 0; s₀ = N⁻¹ Eᵀf, Gᵀ Q G s₀ + D s₀ = Eᵀf."""
+def test_coarse_matrix_and_projection_agree_with_dense_formulas(
+    kind, q, change, torn_grid, create_dual
+):
+    """G = B E, N = GᵀQG + D and s₀ = N⁻¹ Eᵀf; P² = P and GᵀP = 0 for D = 0."""
     problem = torn_grid((3, 2), (2, 2), components=2, change=change)
     formulation = create_dual(problem.A, type=kind, coarse_q=q)
     coarse = formulation.coarse
@@ -43,7 +45,7 @@ def test_projection(kind, q, change, torn_grid, create_dual):
     G, N, D = (dense(M) for M in (coarse.G, coarse.N, coarse.D))
     QG = matrix_of_map(formulation.system.weighted_jump, coarse.n_c)
     equal(G, B @ E, 1e-13)
-    equal(QG, weight(problem, formulation, q) @ G, 1e-11)
+    equal(QG, dense_weight(problem, formulation, q) @ G, 1e-11)
     equal(N, G.T @ QG + D, 1e-12)
     equal(N, N.T, 1e-12)
     f = np.random.default_rng(SEED + COMM.rank).standard_normal(n)
@@ -73,8 +75,8 @@ def test_coarse_matrix_couples_neighbours_only(torn_grid, create_dual):
 
 
 @pytest.mark.processes(1, 2, 3, 4, 8)
-def test_no_kernel_at_all(torn_grid, create_dual):
-    """All subdomains touch the Dirichlet boundary: the coarse problem is empty."""
+def test_coarse_problem_may_be_empty(torn_grid, create_dual):
+    """All subdomains touch the Dirichlet boundary, so that none has a kernel."""
     coarse = create_dual(torn_grid((1, 4), (2, 2), components=2).A, type="classical").coarse
     agree(coarse.N_c == 0 and coarse.solve(np.zeros(0)).shape == (0,))
     agree(coarse.solver.inertia() == (0, 0))

@@ -1,10 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The averaged coarse space: dense matrices, negative curvature, and stiff parts beside soft ones.
-
-Near the rounding errors of a residual, a definite matrix is not called anything else.
-"""
+"""The averaged coarse space agrees with dense matrices; stiffness jumps and rounding do no harm."""
 
 import numpy as np
 import primal_form
@@ -25,13 +22,16 @@ PREFIX = "test_feti_coarse_"
 GRID = case((3, 2), (3, 2), 2)
 
 
-def random(n):
+def random_local(n):
+    """Return random numbers, (n,), others on each process."""
     return np.random.default_rng(SEED + COMM.rank).standard_normal(n)
 
 
 @every_type
 @every_interior
-def test_galerkin_matrix_and_projection(kind, interior, torn_grid, create_primal):
+def test_galerkin_matrix_and_projection_agree_with_dense_formulas(
+    kind, interior, torn_grid, create_primal
+):
     """A₀ = Vᵀ A V in a basis of unit energy; Π V = 0 and Vᵀ A Π = 0."""
     problem = torn_grid(**GRID)
     primal = create_primal(problem, type=kind, interior=interior, coarse_modes=2)
@@ -41,19 +41,19 @@ def test_galerkin_matrix_and_projection(kind, interior, torn_grid, create_primal
     basis = scipy.linalg.block_diag(*COMM.allgather(space.combinations.B.toarray()))
     equal(dense(space.A_0), basis.T @ exact.V.T @ exact.A @ exact.V @ basis, 1e-10)
     equal(dense(space.A_0).diagonal(), np.ones(space.A_0.getSize()[0]), 1e-12)
-    v = space.V.prolong(random(space.V.n_c))
+    v = space.V.prolong(random_local(space.V.n_c))
     zero = np.zeros(copies.size)
     small(np.abs(space.correct(v, zero)).max(initial=0.0), 1e-9 * np.abs(whole(v)).max())
-    z = space.correct(copies.average(random(copies.size)), zero)
+    z = space.correct(copies.average(random_local(copies.size)), zero)
     image = exact.V.T @ exact.A @ (exact.average @ whole(z))
     small(np.abs(image).max(), 1e-9 * np.abs(exact.A).max() * np.abs(whole(z)).max())
-    r = copies.sum(random(copies.size))
+    r = copies.sum(random_local(copies.size))
     equal(space.initial_guess(r), space.correct(zero, r))
     start = exact.average @ whole(space.initial_guess(r))
     equal(exact.V.T @ exact.A @ start, exact.V.T @ (exact.average @ whole(r)), 1e-9)
 
 
-def test_projection_in_single_precision(torn_grid, create_primal, monkeypatch):
+def test_single_precision_products_keep_the_coarse_matrix(torn_grid, create_primal, monkeypatch):
     """A V is stored in single precision; A₀ stays as it is."""
     problem = torn_grid(**GRID)
     double = create_primal(problem, type="all_floating", interior="eliminate", coarse_modes=2)
@@ -62,15 +62,15 @@ def test_projection_in_single_precision(torn_grid, create_primal, monkeypatch):
     agree(all(Y.dtype == np.float32 for Y in single.coarse.VtA.Y_transposed))
     equal(dense(single.coarse.A_0), dense(double.coarse.A_0), 1e-12)
     copies = double.system.copies
-    z = copies.average(random(copies.size))
-    r = copies.sum(random(copies.size))
+    z = copies.average(random_local(copies.size))
+    r = copies.sum(random_local(copies.size))
     guesses = [primal.coarse.initial_guess(r) for primal in (single, double)]
     equal(*guesses, 1e-7)
     equal(single.coarse.correct(z, r), double.coarse.correct(z, r), 1e-6)
 
 
 def test_dependent_columns_are_dropped(torn_grid, create_primal):
-    """Columns that come twice, zero ones and large ones do no harm."""
+    """Repeated, zero and large columns do not change the projection."""
     problem = torn_grid(**GRID)
     plain = create_primal(problem, type="all_floating", interior="eliminate", coarse_modes=2)
 
@@ -87,12 +87,13 @@ def test_dependent_columns_are_dropped(torn_grid, create_primal):
     agree(space.N_c - space.A_0.getSize()[0] == plain.coarse.N_c + 6)
     agree(plain.coarse.A_0.getSize()[0] == plain.coarse.N_c and space.negative_eigenvalues == 0)
     copies = plain.system.copies
-    z = copies.average(random(copies.size))
+    z = copies.average(random_local(copies.size))
     zero = np.zeros(copies.size)
     equal(space.correct(z, zero), plain.coarse.correct(z, zero), 1e-7)
 
 
 def multiplicity_of_rows(copies):
+    """Return the number of copies of the dof of each interface row, (n_Γ,)."""
     return np.bincount(copies.pair_rows, minlength=copies.size)
 
 
@@ -107,8 +108,8 @@ def corner_columns(copies, *, has_one_contributor):
     return [np.eye(rows.stop - rows.start)[:, contributes[rows]] for rows in copies.rows]
 
 
-def test_columns_of_corner_dofs(torn_grid, create_primal):
-    """Π vanishes on a displacement of the corners; each repetition of a column is a zero pivot."""
+def test_corner_columns_are_projected_out(torn_grid, create_primal):
+    """Π vanishes on a displacement of the corners; each repeated column is a zero pivot."""
     problem = torn_grid(**GRID)
     zero_energies = []
     for has_one_contributor in (True, False):
@@ -133,8 +134,8 @@ def test_columns_of_corner_dofs(torn_grid, create_primal):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02], ids=["definite", "indefinite"])
-def test_solver_that_does_not_count_pivots(share, torn_grid, create_primal):
-    """Then nothing is known before the iterations."""
+def test_inertia_is_unknown_if_the_solver_does_not_count_pivots(share, torn_grid, create_primal):
+    """Then negative curvature is not known before the iterations."""
     problem = torn_grid((2, 2), (4, 4), components=2, change=softened(share))
     with inserted(PREFIX, {"pc_factor_mat_solver_type": "petsc"}):
         primal = create_primal(problem, type="classical", interior="eliminate", coarse_modes=0)
@@ -159,8 +160,17 @@ PATTERNS = {
 }
 
 
-def stiffened_cube(n, grid, pattern, jump, subdomains=None, options=FORMULATIONS["primal"]):
-    """Set up a cube of n³ cells, whose modulus jumps on a grid of cubes: subdomains, or not."""
+def cube_with_jumps(n, grid, pattern, jump, subdomains=None, options=FORMULATIONS["primal"]):
+    """Tear a cube of n³ cells of which some have a larger modulus.
+
+    Args:
+        n: Number of cells along an edge.
+        grid: Number of cubes along an edge, each of one modulus.
+        pattern: Name in PATTERNS, which selects the stiff cubes.
+        jump: Modulus of the stiff cubes; that of the others is one.
+        subdomains: Number of subdomains; if None, each cube is one.
+        options: PETSc options without prefix.
+    """
     mesh = dolfinx.mesh.create_unit_cube(COMM, n, n, n)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
     E = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
@@ -176,12 +186,12 @@ def stiffened_cube(n, grid, pattern, jump, subdomains=None, options=FORMULATIONS
     return torn(Problem(V, a, v[2] * ufl.dx, [dirichlet(V, left)]), subdomains, "jumps_", **options)
 
 
-def solves(problem, rtol=1e-8):
-    """Solve; the residual is within the tolerance, or rounding's."""
+def check_residual(problem, rtol=1e-8):
+    """Assert that the residual is within its tolerance or its floor; return the FETI context."""
     problem.solver.setTolerances(rtol=rtol)
     problem.solve()
     context = problem.solver.getPythonContext()
-    agree(context.residual <= max(1.01 * rtol, np.nan_to_num(context.floor)), context.residual)
+    agree(context.residual <= max(1.01 * rtol, np.nan_to_num(context.floor)))
     agree("factor" in (said := context.report().coarse_solver) or "inverse" in said, said)
     return context
 
@@ -190,29 +200,30 @@ def solves(problem, rtol=1e-8):
 @pytest.mark.parametrize("subdomains", [None, 20], ids=["aligned", "across"])
 @pytest.mark.parametrize("jump", [1e2, 1e5, 1e8])
 @pytest.mark.parametrize("pattern", PATTERNS)
-def test_jumps_are_solved(pattern, jump, subdomains):
-    """Rounding grows with the jump, and single precision is not taken where it hides soft dofs."""
-    problem = stiffened_cube(6, 3 if subdomains is None else 2, pattern, jump, subdomains)
-    context = solves(problem, max(1e-8, 1e-15 * jump))
-    agree(context.iterations <= 150, context.iterations)
+def test_stiffness_jumps_take_few_iterations(pattern, jump, subdomains):
+    """Rounding grows with the jump; double precision is used where single hides soft dofs."""
+    problem = cube_with_jumps(6, 3 if subdomains is None else 2, pattern, jump, subdomains)
+    context = check_residual(problem, max(1e-8, 1e-15 * jump))
+    agree(context.iterations <= 150)
 
 
 @pytest.mark.processes(1, 2)
 @each("options", FORMULATIONS)
-def test_jumps_in_every_formulation(options):
-    solves(stiffened_cube(8, 4, "columns", 1e6, options=options))
+def test_stiffness_jumps_are_solved_in_every_formulation(options):
+    """Stiff columns coincide with every other subdomain."""
+    check_residual(cube_with_jumps(8, 4, "columns", 1e6, options=options))
 
 
 @pytest.mark.processes(1, 2)
-def test_many_subdomains():
-    """One cell in each subdomain: 3375 on one process, 1000 on two."""
+def test_subdomains_of_one_cell_are_solved():
+    """There are 3375 on one process and 1000 on two."""
     n = 15 if COMM.size == 1 else 10
-    problem = stiffened_cube(n, n, "columns", 1e6)
-    agree(solves(problem).report().coarse_size > 6 * n**3 - 6 * n**2)
+    problem = cube_with_jumps(n, n, "columns", 1e6)
+    agree(check_residual(problem).report().coarse_size > 6 * n**3 - 6 * n**2)
 
 
 @pytest.mark.processes(1)
-def test_jumps_across_many_subdomains(torn_grid, create_ksp):
+def test_stiffness_jumps_across_many_subdomains_are_solved(torn_grid, create_ksp):
     """A checkerboard of three by three cells on 83² subdomains of two by two."""
 
     def change(K, dofs):
@@ -230,7 +241,7 @@ def test_jumps_across_many_subdomains(torn_grid, create_ksp):
     reason, _ = solve(ksp, problem, random_values(problem))
     context = ksp.getPythonContext()
     agree(reason > 0 and context.message == "", context.message)
-    agree(context.residual <= max(1e-8, np.nan_to_num(context.floor)), context.residual)
+    agree(context.residual <= max(1e-8, np.nan_to_num(context.floor)))
     agree(context.report().coarse_size > 20_000)
 
 
@@ -242,10 +253,12 @@ RATIO = 1e3
 
 
 def stripes(x):
+    """Return the condition, in UFL, that selects stripes across the body."""
     return ufl.lt(ufl.cos(3 * np.pi * x[0]), 0.0)
 
 
 def disc(x):
+    """Return the condition, in UFL, that selects a disc around (½, ½)."""
     return ufl.lt((x[0] - 0.5) ** 2 + (x[1] - 0.5) ** 2, 0.09)
 
 
@@ -263,8 +276,11 @@ CHOICES = {
     [((9, 14), 3.0, stripes), ((11, 16), 10.0, stripes), ((6, 19), 3.0, disc)],
     ids=["short", "long", "disc"],
 )
-def test_rounding_is_no_negative_curvature(cells, length, stiff, options):
-    """Linear elasticity, P1, cut into 13 subdomains: CG comes to curvatures that are rounding."""
+def test_rounding_is_not_taken_for_negative_curvature(cells, length, stiff, options):
+    """The matrix is definite; near its floor CG meets curvatures that are only rounding.
+
+    Linear elasticity, P1, cut into 13 subdomains.
+    """
     corners = [np.zeros(2), np.array([length, 1.0])]
     mesh = dolfinx.mesh.create_rectangle(COMM, corners, cells)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))

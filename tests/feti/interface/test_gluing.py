@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The jump operator, its rows, counts and projections, against dense matrices."""
+"""The jump operator, its rows, counts and weights agree with dense matrices."""
 
 import itertools
 
@@ -36,8 +36,8 @@ STIFFNESS = {
 
 
 @pytest.fixture
-def glue(torn_grid, lifetime):
-    """Glue a grid; K of subdomain i is scaled by 3ⁱ."""
+def create_gluing(torn_grid, lifetime):
+    """Return a function that glues a grid, whose subdomain i has 3ⁱ times the stiffness."""
 
     def create(grid, kind="all_floating"):
         problem = torn_grid(stiffness=lambda i: 3.0**i, **grid)
@@ -47,8 +47,8 @@ def glue(torn_grid, lifetime):
     return create
 
 
-def jumps(to_global, dirichlet, *, all_floating):
-    """Form B, (m, n): differences of the copies of each dof; a row for each Dirichlet copy."""
+def dense_jumps(to_global, dirichlet, *, all_floating):
+    """Return B, (m, n): differences of copies of each dof, and a row for each Dirichlet copy."""
     rows = []
     unit = np.eye(len(to_global))
     for dof in np.flatnonzero(~dirichlet):
@@ -60,7 +60,7 @@ def jumps(to_global, dirichlet, *, all_floating):
 
 
 def normal_form(B):
-    """Return the rows of B in lexical order, each scaled to a first entry of one."""
+    """Return the rows of B in lexical order, each scaled so that its first entry is one."""
     first = B[np.arange(len(B)), np.argmax(B != 0.0, axis=1)]
     rows = B / first[:, None]
     return rows[np.lexsort(rows.T)]
@@ -68,12 +68,12 @@ def normal_form(B):
 
 @every_grid
 @every_type
-def test_rows_interface_and_gap(grid, kind, glue):
-    """Rows as defined; the interface is where B acts; B u = c for copies of any x with x = x_D."""
-    problem, torn, gluing = glue(grid, kind)
+def test_jump_operator_has_a_row_for_each_pair_of_copies(grid, kind, create_gluing):
+    """The interface is where B acts; B u = c for copies of any x with the prescribed values."""
+    problem, torn, gluing = create_gluing(grid, kind)
     B = dense(gluing.B)
     floating = kind == "all_floating"
-    expected = jumps(problem.to_global, problem.dirichlet, all_floating=floating)
+    expected = dense_jumps(problem.to_global, problem.dirichlet, all_floating=floating)
     agree(B.shape == expected.shape, (B.shape, expected.shape))
     agree(set(np.unique(B)) <= {-1.0, 0.0, 1.0})
     equal(normal_form(B), normal_form(expected))
@@ -91,15 +91,15 @@ def test_rows_interface_and_gap(grid, kind, glue):
 @every_grid
 @every_type
 @each("stiffness", STIFFNESS)
-def test_scaled_jumps_make_a_projection(grid, kind, stiffness, glue, lifetime):
+def test_scaled_jumps_give_a_projection(grid, kind, stiffness, create_gluing, lifetime):
     """B_DᵀB is a projection with the kernel of B, B B_Dᵀ B = B, and I − B_DᵀB averages.
 
     A copy is weighed by the other side: (B_D)_ij = (δ_j, −δ_i). δ = k / Σ k is never zero or NaN.
     """
-    problem, torn, gluing = glue(grid, kind)
+    problem, torn, gluing = create_gluing(grid, kind)
     k = np.asarray(stiffness(torn), dtype=float)
-    own = weights_from_stiffness(torn, k)
-    δ = whole(own)
+    own_weights = weights_from_stiffness(torn, k)
+    δ = whole(own_weights)
     k = whole(k)
     T = problem.T
     equal(T.T @ δ, np.ones(len(problem.dirichlet)), 1e-14)
@@ -107,14 +107,14 @@ def test_scaled_jumps_make_a_projection(grid, kind, stiffness, glue, lifetime):
     if 0.0 < k.min() and k.max() < 1e12 * k.min():
         equal(δ, k / (T @ T.T @ k), 1e-14)
     B = dense(gluing.B)
-    B_D = dense(lifetime.own(gluing.scaled_jumps(torn, own)))
+    B_D = dense(lifetime.own(gluing.scaled_jumps(torn, own_weights)))
     E = B_D.T @ B
     equal(E @ E, E, 1e-13)
     equal(B @ E, B, 1e-13)
     u = np.random.default_rng(SEED).standard_normal(len(E))
     average = T @ T.T @ (δ * u)
-    held = problem.dirichlet[problem.to_global]
-    average[held] = 0.0 if kind == "all_floating" else u[held]
+    is_dirichlet = problem.dirichlet[problem.to_global]
+    average[is_dirichlet] = 0.0 if kind == "all_floating" else u[is_dirichlet]
     equal(u - E @ u, average, 1e-13)
     for row, scaled in zip(B, B_D, strict=True):
         copies = np.flatnonzero(row)
@@ -125,9 +125,9 @@ def test_scaled_jumps_make_a_projection(grid, kind, stiffness, glue, lifetime):
 
 @every_grid
 @pytest.mark.parametrize("scaling", SCALINGS)
-def test_weights_of_a_scaling_sum_to_one(grid, scaling, glue):
-    """Tᵀ δ T = I; the two scalings weigh by the diagonal of K, and all copies alike."""
-    problem, torn, _ = glue(grid)
+def test_weights_of_a_scaling_sum_to_one(grid, scaling, create_gluing):
+    """Tᵀ δ T = I; one scaling weighs by the diagonal of K, the other weighs all copies alike."""
+    problem, torn, _ = create_gluing(grid)
     weights = SCALINGS[scaling](torn)
     equal(problem.T.T @ whole(weights), np.ones(len(problem.dirichlet)), 1e-14)
     if scaling in STIFFNESS:
@@ -136,10 +136,10 @@ def test_weights_of_a_scaling_sum_to_one(grid, scaling, glue):
 
 
 @pytest.mark.parametrize("components", [1, 3])
-def test_paper_counts_38052_multipliers_on_its_cube(components, lifetime):
+def test_papers_cube_has_38052_multipliers(components, lifetime):
     """8³ subdomains of one cell of 24 tetrahedra, clamped all round: 12 684 rows a component."""
     problem = lifetime.own(paper_cube.cube(8, components))
     torn = lifetime.own(Torn(problem.A))
     gluing = lifetime.own(Gluing(torn, all_floating=True))
     agree(COMM.allreduce(len(torn.subdomains)) == 512)
-    agree(gluing.B.getSize() == (12_684 * components, 512 * 15 * components), gluing.B.getSize())
+    agree(gluing.B.getSize() == (12_684 * components, 512 * 15 * components))

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The dual operator, its preconditioners and the constraint on them against dense formulas."""
+"""The dual operator and its preconditioners agree with dense formulas."""
 
 from types import SimpleNamespace
 
@@ -30,8 +30,8 @@ every_state = each("change", {"at rest": None, "buckling": BUCKLING})
 every_pc = pytest.mark.parametrize("pc_type", PRECONDITIONERS)
 
 
-def weight_of(problem, formulation, pc_type):
-    """Return Y by its definition, on all torn dofs, (n, n)."""
+def dense_weight(problem, formulation, pc_type):
+    """Return Y of a preconditioner by its definition, on all torn dofs, (n, n)."""
     K = problem.K_torn
     Z = on_torn_dofs(formulation, modes_of(formulation).stabilisation)
     fixed = whole(formulation.pattern.is_fixed)
@@ -52,7 +52,8 @@ def weight_of(problem, formulation, pc_type):
     return Y
 
 
-def matrix(formulation):
+def dense_preconditioner(formulation):
+    """Return M as a dense matrix, (m, m), on each process."""
     return matrix_of_map(lambda r: formulation.preconditioner.apply(r)[0], formulation.system.m)
 
 
@@ -61,18 +62,21 @@ def matrix(formulation):
 @every_pc
 @every_state
 @every_interior
-def test_preconditioner_is_the_weighted_one(
+def test_preconditioner_agrees_with_its_definition(
     grid, kind, pc_type, change, interior, torn_grid, create_dual
 ):
-    """M = B_D Y B_Dᵀ ⪰ 0; M G s, Gᵀ M r, Gᵀ M G; the force of a jump has no stabilisation."""
+    """M = B_D Y B_Dᵀ is semi-definite, and M G s, Gᵀ M r and Gᵀ M G are those of matrices.
+
+    The force of a jump has no stabilisation.
+    """
     problem = torn_grid(change=change, **grid)
     formulation = create_dual(problem.A, type=kind, pc_type=pc_type, interior=interior)
     pc = formulation.preconditioner
     coarse = formulation.coarse
     G = dense(formulation.coarse.G)
-    M = matrix(formulation)
+    M = dense_preconditioner(formulation)
     B_D = dense(pc.B_D.matrix)
-    equal(M, B_D @ weight_of(problem, formulation, pc_type) @ B_D.T, 1e-11)
+    equal(M, B_D @ dense_weight(problem, formulation, pc_type) @ B_D.T, 1e-11)
     equal(M, M.T, 1e-12)
     agree(np.linalg.eigvalsh(M)[0] > -1e-12 * np.abs(M).max())
     equal(matrix_of_map(coarse.MG.multiply, coarse.n_c), M @ G, 1e-12)
@@ -102,8 +106,8 @@ every_change = each("change", CHANGES)
 every_q = pytest.mark.parametrize("q", ["identity", "diagonal", "preconditioner"])
 
 
-def constraint(system):
-    """Constraint preconditioner from jumps to λ and to s, two matrices."""
+def dense_constraint_preconditioner(system):
+    """Return the constraint preconditioner C from a jump to λ, (m, m), and to s, (N_c, m)."""
     to_lam = matrix_of_map(lambda r: system.precondition(r)[0].lam, system.m)
     to_s = matrix_of_map(lambda r: system.precondition(r)[0].s, system.m)
     return to_lam, to_s
@@ -113,8 +117,10 @@ def constraint(system):
 @every_type
 @every_change
 @every_interior
-def test_operator(grid, kind, change, interior, torn_grid, create_dual):
-    """F λ − G s for (λ, s); F = B K⁺ Bᵀ = Fᵀ, on balanced λ with the Moore–Penrose inverse."""
+def test_dual_operator_agrees_with_its_definition(
+    grid, kind, change, interior, torn_grid, create_dual
+):
+    """F λ − G s with F = B K⁺ Bᵀ = Fᵀ; on balanced λ K⁺ acts as the Moore–Penrose inverse."""
     problem = torn_grid(change=change, **grid)
     formulation = create_dual(problem.A, type=kind, interior=interior)
     dual = formulation.system
@@ -139,17 +145,17 @@ def test_operator(grid, kind, change, interior, torn_grid, create_dual):
 @every_q
 @every_change
 @pytest.mark.parametrize("pc_type", ["dirichlet", "identity"])
-def test_constraint_preconditioner_is_the_inverse_it_stands_for(
+def test_constraint_preconditioner_agrees_with_its_definition(
     grid, q, change, pc_type, torn_grid, create_dual, lifetime
 ):
     """Its image is balanced, Gᵀz_λ + D z_s = 0, and equals P M Pᵀ r for D = 0."""
     formulation = create_dual(torn_grid(change=change, **grid).A, pc_type=pc_type, coarse_q=q)
-    M = matrix(formulation)
+    M = dense_preconditioner(formulation)
     if formulation.coarse.MG is not None:
         M += np.diag(whole(formulation.coarse.q.array_r))
     G, N, D = (dense(getattr(formulation.coarse, key)) for key in ("G", "N", "D"))
     QG = matrix_of_map(formulation.system.weighted_jump, formulation.coarse.n_c)
-    z_lam, z_s = constraint(formulation.system)
+    z_lam, z_s = dense_constraint_preconditioner(formulation.system)
     scale = np.abs(z_lam).max()
     small(np.abs(G.T @ z_lam + D @ z_s).max(), 1e-10 * max(scale, np.abs(D @ z_s).max()))
     equal(z_lam, z_lam.T, 1e-10)
@@ -170,14 +176,14 @@ def test_constraint_preconditioner_is_the_inverse_it_stands_for(
         formulation.coarse,
         is_cg=False,
     )
-    to_lam, to_s = constraint(lifetime.own(not_cg))
+    to_lam, to_s = dense_constraint_preconditioner(lifetime.own(not_cg))
     equal(to_lam, z_lam, 1e-10)
     equal(to_s, -w - v, 1e-10)
 
 
 @every_q
-def test_preconditioner_waits_for_no_norm(q, torn_grid, create_dual, monkeypatch):
-    """The norm of the residual is summed with the coarse right-hand side, except for Q = M."""
+def test_norm_of_the_residual_takes_no_reduction(q, torn_grid, create_dual, monkeypatch):
+    """It is summed with the coarse right-hand side, except for Q = M."""
     dual = create_dual(torn_grid(**GRIDS["elasticity"]).A, type="all_floating", coarse_q=q).system
     r = np.random.default_rng(744 + COMM.rank).standard_normal(dual.m)
     expected = dual.assembled_norm(r)
@@ -186,15 +192,15 @@ def test_preconditioner_waits_for_no_norm(q, torn_grid, create_dual, monkeypatch
     monkeypatch.setattr(system, "total_of", lambda *part: calls.append(0) or total_of(*part))
     norm = dual.precondition(r)[1]
     equal(norm, expected, 1e-12)
-    agree(len(calls) == (q == "preconditioner"))
+    agree(len(calls) == (1 if q == "preconditioner" else 0))
 
 
 @pytest.mark.parametrize(
-    ("cg", "exact", "measured"),
+    ("is_cg", "has_exact_kernel", "measured"),
     [(True, True, []), (True, False, [3, 13, 23]), (False, True, [3, 13, 23])],
 )
-def test_residual_is_measured_again(cg, exact, measured):
-    """It is after an estimate that was too small, then every ten iterations; not if CG has it."""
+def test_residual_is_measured_after_a_small_estimate(is_cg, has_exact_kernel, measured):
+    """It is measured again every ten iterations; CG with an exact kernel has it anyway."""
     measurements = []
 
     def measure(_residual):
@@ -209,12 +215,12 @@ def test_residual_is_measured_again(cg, exact, measured):
         getAttr=lambda _: None,
     )
     shell = SimpleNamespace(
-        system=SimpleNamespace(has_exact_kernel=exact),
+        system=SimpleNamespace(has_exact_kernel=has_exact_kernel),
         assembled_norm=measure,
         read_unknowns=lambda x: x,
     )
-    initial = 1.0 if cg else 1.0 / RATIO_MARGIN
-    estimate = ResidualEstimate(shell, preconditions_residual=cg, initial=initial)
+    initial = 1.0 if is_cg else 1.0 / RATIO_MARGIN
+    estimate = ResidualEstimate(shell, preconditions_residual=is_cg, initial=initial)
     test = StoppingTest(shell, estimate, target=0.5, max_it=100, monitor=lambda *_: None)
     for its in range(30):
         norm = 0.4 if its == 3 else 1.0

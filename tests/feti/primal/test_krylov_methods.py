@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What all Krylov methods of the primal formulation have in common: solution, iterations, ends."""
+"""Properties that all Krylov methods of the primal formulation share."""
 
 from types import SimpleNamespace
 
@@ -25,12 +25,24 @@ every_method = pytest.mark.parametrize(
 
 @pytest.fixture
 def system(torn_grid, create_primal):
-    """Make the assembled interface operator of a grid, with its preconditioner."""
+    """The assembled interface operator of a grid, with its preconditioner."""
     return create_primal(torn_grid(**GRID)).system
 
 
 def run(method, system, f, *, target=1e-10, max_it=200):
-    """Solve; return the solution, how the method ended, its basis, and the monitored norms."""
+    """Solve by a Krylov method.
+
+    Args:
+        method: Function of the method.
+        system: System on the assembled interface.
+        f: Right-hand side, not summed over copies, (n_Γ,).
+        target: Norm of the residual that ends the solve.
+        max_it: Most iterations.
+
+    Returns:
+        Solution, (n_Γ,), how the method ended, the basis of at most five iterations, and the
+        monitored pairs of iteration and norm.
+    """
     norms = []
     stopping = StoppingTest(target, max_it)
     x, info, basis = method(
@@ -45,8 +57,8 @@ def run(method, system, f, *, target=1e-10, max_it=200):
 
 
 @every_method
-def test_solution_and_its_monitor(method, system):
-    """The last norm is that of the residual, and each iteration is monitored once."""
+def test_residual_meets_the_target_and_each_norm_is_monitored(method, system):
+    """There is one norm for the start and one for each iteration."""
     f = random_part(system.copies.size)
     x, info, _, norms = run(method, system, f)
     agree(info.reason == Reason.CONVERGED_RTOL, info)
@@ -55,28 +67,31 @@ def test_solution_and_its_monitor(method, system):
 
 
 @every_method
-def test_basis(method, system):
+def test_stored_basis_satisfies_the_arnoldi_relation(method, system):
     """A Z = R H for the stored iterations, of which there may be none."""
     _, _, basis, _ = run(method, system, random_part(system.copies.size))
     AZ = np.array([system.apply(z) for z in basis.Z])
-    agree(len(basis.Z) <= 5, len(basis.Z))
+    agree(len(basis.Z) <= 5)
     equal(whole(AZ.T), whole((basis.H.T @ basis.R).T), 1e-9)
 
 
 @every_method
-def test_no_iterations_remain(method, system):
+def test_iteration_limit_ends_a_solve(method, system):
+    """The reason is DIVERGED_MAX_IT, after as many iterations as are allowed."""
     _, info, _, _ = run(method, system, random_part(system.copies.size), max_it=2)
     agree(info.reason == Reason.DIVERGED_MAX_IT and info.iterations == 2, info)
 
 
 @every_method
-def test_no_load(method, system):
+def test_zero_load_needs_no_iteration(method, system):
+    """The solution is zero."""
     x, info, _, _ = run(method, system, np.zeros(system.copies.size))
     agree(info.reason > 0 and info.iterations == 0 and not x.any(), info)
 
 
 @every_method
-def test_load_is_nan(method, system):
+def test_nan_load_is_reported(method, system):
+    """The reason is DIVERGED_NANORINF."""
     _, info, _, _ = run(method, system, np.full(system.copies.size, np.nan))
     agree(info.reason == Reason.DIVERGED_NANORINF, info)
 
@@ -86,7 +101,9 @@ def test_load_is_nan(method, system):
     ("is_symmetric", "is_indefinite", "expected"),
     [(True, False, "cg"), (True, True, "minres"), (False, False, "gmres"), (False, True, "gmres")],
 )
-def test_choice_of_method(is_symmetric, is_indefinite, expected, monkeypatch):
+def test_method_is_chosen_by_symmetry_and_definiteness(
+    is_symmetric, is_indefinite, expected, monkeypatch
+):
     """A method for indefinite symmetric matrices is chosen for them, and for no others."""
     minres = RegisteredMethod(gmres, needs_symmetric=True, solves_indefinite=True)
     monkeypatch.setitem(KRYLOV_METHODS, "minres", minres)
@@ -95,14 +112,16 @@ def test_choice_of_method(is_symmetric, is_indefinite, expected, monkeypatch):
 
 
 @pytest.mark.serial
-def test_indefinite_matrix_without_a_method_for_it():
+def test_cg_is_chosen_if_no_method_solves_indefinite_matrices():
+    """CG then reports the negative curvature."""
     assert select_method(is_symmetric=True, is_indefinite=True) == "cg"
 
 
 @pytest.mark.parametrize("name", ["cg", "gmres"])
-def test_methods_that_store_vectors_for_ritz_vectors(name, system):
+def test_cg_and_gmres_store_vectors_for_recycling(name, system):
+    """Ritz vectors are computed from the stored basis."""
     _, _, basis, _ = run(KRYLOV_METHODS[name].solve, system, random_part(system.copies.size))
-    agree(len(basis.Z) > 0, len(basis.Z))
+    agree(len(basis.Z) > 0)
 
 
 # ---- the stopping test ----------------------------------------------------------------------
@@ -124,7 +143,8 @@ RESIDUALS = {
 
 @pytest.mark.serial
 @each("residual", RESIDUALS)
-def test_reason_of_residual(residual):
+def test_stopping_test_of_the_residual(residual):
+    """A residual at its target converges, unless an error is to be tested and is too large."""
     test, norm, its, error, expected = residual
     reason = test.reason_of_residual(norm, its, error)
     assert reason == expected
@@ -140,5 +160,6 @@ def test_reason_of_residual(residual):
         (np.nan, 8, Reason.ITERATING),
     ],
 )
-def test_reason_of_error(error, its, expected):
+def test_stopping_test_of_the_error(error, its, expected):
+    """An error above its tolerance continues the solve up to the iteration limit."""
     assert WITH_ERROR.reason_of_error(error, its) == expected

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The primal formulation: its preconditioner and spectrum, and GMRES for an unsymmetric K."""
+"""The primal formulation: its preconditioner and spectrum, and GMRES for an unsymmetric matrix."""
 
 from petsc4py import PETSc
 
@@ -36,28 +36,30 @@ CHANGES = {"no prestress": None, "tension": scaled_diagonal(1.01), "compression"
 every_change = each("change", CHANGES)
 
 
-def assembled(of_copies, exact):
-    """Return a map of copies, (n, n), as one of assembled vectors: average, map, copy."""
+def on_assembled_vectors(of_copies, exact):
+    """Return a map of copies, (n, n), as one of assembled vectors, (N, N): average, map, copy."""
     return exact.average @ of_copies @ exact.T
 
 
-def solution(problem, primal, values):
-    """Assert that the solution is that of a direct solver, with values prescribed; say how."""
+def check_solution(problem, primal, values):
+    """Assert that the primal form solves with prescribed values; return its SolveInfo."""
     b = problem.vector(values)
     torn = primal.pattern.torn
     u_D = np.where(torn.is_dirichlet_copy, torn.tear(b.array_r), 0.0)
-    how = {"target": 1e-10 * b.norm(), "max_it": 200, "monitor": lambda *_: None}
-    u, outcome = primal.solve(b, u_D, **how)
+    settings = {"target": 1e-10 * b.norm(), "max_it": 200, "monitor": lambda *_: None}
+    u, info = primal.solve(b, u_D, **settings)
     b.destroy()
     equal(whole(u), problem.T @ problem.solve(values), 1e-8)
-    return outcome
+    return info
 
 
 @every_change
 @every_type
 @every_interior
-def test_operator_and_preconditioner(change, kind, interior, torn_grid, create_primal):
-    """A = Tᵀ S T and Π Tᵀ δ K_ρ⁻¹ δ T + V A₀⁻¹ Vᵀ, as they are defined; and the solution."""
+def test_operator_and_preconditioner_agree_with_dense_formulas(
+    change, kind, interior, torn_grid, create_primal
+):
+    """A = Tᵀ S T and M = Π Tᵀ δ K_ρ⁻¹ δ T + V A₀⁻¹ Vᵀ, and the solution with them."""
     problem = torn_grid(change=change, **GRID)
     primal = create_primal(problem, type=kind, interior=interior, coarse_modes=2)
     exact = primal_form.reference(problem, primal)
@@ -66,17 +68,19 @@ def test_operator_and_preconditioner(change, kind, interior, torn_grid, create_p
     zero = np.zeros(n)
     A = -matrix_of_map(lambda x: system.residual(zero, x), n)
     M = matrix_of_map(lambda r: system.precondition(r)[0], n)
-    equal(assembled(A, exact), exact.A, 1e-11)
-    equal(assembled(M, exact), exact.preconditioner + exact.coarse, 1e-9)
-    outcome = solution(problem, primal, random_values(problem, SEED))
+    equal(on_assembled_vectors(A, exact), exact.A, 1e-11)
+    equal(on_assembled_vectors(M, exact), exact.preconditioner + exact.coarse, 1e-9)
+    outcome = check_solution(problem, primal, random_values(problem, SEED))
     agree(outcome.reason == Reason.CONVERGED_RTOL)
 
 
 @every_type
 @every_interior
 @pytest.mark.parametrize("modes", [0, 3])
-def test_spectrum(kind, interior, modes, torn_grid, create_primal, create_dual):
-    """Without prestress: none below one, and beyond one the eigenvalues of the dual method."""
+def test_spectrum_is_that_of_the_dual_form_above_one(
+    kind, interior, modes, torn_grid, create_primal, create_dual
+):
+    """Without prestress no eigenvalue is below one, and those above one are the same."""
     problem = torn_grid(**GRID)
     primal = create_primal(problem, type=kind, interior=interior, coarse_modes=modes)
     exact = primal_form.reference(problem, primal)
@@ -99,8 +103,8 @@ def test_spectrum(kind, interior, modes, torn_grid, create_primal, create_dual):
 @pytest.mark.parametrize(
     ("share", "proved"), [(0.002, 0), (0.02, 3)], ids=["met-by-CG", "found-by-the-coarse-space"]
 )
-def test_negative_curvature(share, proved, torn_grid, create_primal):
-    """An indefinite matrix is reported, although K_ρ is definite."""
+def test_indefinite_matrix_is_reported_by_cg(share, proved, torn_grid, create_primal):
+    """K_ρ is definite, so that the factors of subdomains do not show it."""
     problem = torn_grid((2, 2), (4, 4), components=2, change=softened(share))
     primal = create_primal(problem, type="all_floating", interior="eliminate", coarse_modes=0)
     exact = primal_form.reference(problem, primal)
@@ -110,21 +114,21 @@ def test_negative_curvature(share, proved, torn_grid, create_primal):
     agree(outcome.reason == Reason.DIVERGED_INDEFINITE_MAT)
 
 
-def test_ritz_values(torn_grid, create_primal):
-    """The spectrum follows from the coefficients of conjugate gradients."""
+def test_ritz_values_follow_from_the_coefficients_of_cg(torn_grid, create_primal):
+    """They are the extreme eigenvalues of the preconditioned operator."""
     problem = torn_grid((2, 2), (2, 2), components=2)
     primal = create_primal(problem, type="all_floating", interior="keep", coarse_modes=0)
     exact = primal_form.reference(problem, primal)
     values = np.linalg.eigvals(exact.preconditioner @ exact.A).real
-    _, found = primal_form.cg(primal.system, random_part(primal.system.copies.size), rtol=1e-13)
-    equal(found.ritz_values, [values[values > 1e-6].min(), values.max()], 1e-6)
+    _, info = primal_form.cg(primal.system, random_part(primal.system.copies.size), rtol=1e-13)
+    equal(info.ritz_values, [values[values > 1e-6].min(), values.max()], 1e-6)
 
 
-def test_no_subdomain_left_for_a_process(torn_grid, create_primal):
-    """One subdomain has no interface: there is nothing to iterate for."""
+def test_single_subdomain_needs_no_iteration(torn_grid, create_primal):
+    """It has no interface; the other processes have no subdomain."""
     problem = torn_grid((1, 1), (3, 2), components=2)
     primal = create_primal(problem, type="classical", interior="keep")
-    agree(solution(problem, primal, np.ones(len(problem.dirichlet))).iterations == 0)
+    agree(check_solution(problem, primal, np.ones(len(problem.dirichlet))).iterations == 0)
 
 
 def test_copies_agree_to_the_last_bit(torn_grid, create_primal):
@@ -145,8 +149,8 @@ WIDE = case((3, 2), (3, 3), 2)
 
 
 @pytest.fixture
-def general_form(read_pattern, lifetime, double_precision_products, monkeypatch):
-    """Make the primal form of a torn matrix that is not symmetric, in double precision."""
+def create_unsymmetric_primal(read_pattern, lifetime, double_precision_products, monkeypatch):
+    """Return a function that builds the primal form of an unsymmetric matrix."""
     monkeypatch.setattr("dolfinx_feti.feti.subdomain.scaled.MAX_SINGLE_PRECISION_ERROR", 0.0)
 
     def create(problem, vectors=None, **options):
@@ -160,8 +164,12 @@ def general_form(read_pattern, lifetime, double_precision_products, monkeypatch)
     return create
 
 
-def least_residuals(form, f, *, max_it=200):
-    """Solve by GMRES; return its results and the norms of the residuals."""
+def solve_by_gmres(form, f, *, max_it=200):
+    """Solve by GMRES to 1e-10 of the right-hand side.
+
+    Returns:
+        Solution, (n_Γ,), how the method ended, the basis, and the norms of all residuals.
+    """
     system = form.system
     norms = []
     stopping = StoppingTest(1e-10 * system.norm(system.copies.sum(f)), max_it)
@@ -176,17 +184,25 @@ def least_residuals(form, f, *, max_it=200):
     return *results, norms
 
 
-def of_assembled(apply, form, T):
-    """The dense matrix of a map of assembled vectors, given by their copies: average, map."""
+def dense_on_assembled_vectors(apply, form, T):
+    """Return the matrix, (N, N), of a map of assembled vectors that is given by copies.
+
+    Args:
+        apply: Maps copies of an assembled vector, (n_Γ,), to copies of the result.
+        form: The primal form.
+        T: Copies of the free interface dofs, (n_Γ, N) of all processes.
+    """
     average = T.T * whole(form.system.copies.delta)
     return average @ matrix_of_map(apply, form.system.copies.size) @ T
 
 
 @every_type
-def test_operator_and_preconditioner_of_an_unsymmetric_matrix(kind, torn_grid, general_form):
-    """A = Tᵀ S T of K; Π Tᵀ δ K_ρ⁻¹ δ T + V A₀⁻¹ Vᵀ, with K_ρ of ½ (K + Kᵀ) and Π of K."""
+def test_operators_of_an_unsymmetric_matrix_agree_with_dense_formulas(
+    kind, torn_grid, create_unsymmetric_primal
+):
+    """A = Tᵀ S T of K; in M, K_ρ is that of ½ (K + Kᵀ), and Π that of K."""
     problem = torn_grid(change=unsymmetric(0.1), **WIDE)
-    primal = general_form(problem, type=kind, coarse_modes=2)
+    primal = create_unsymmetric_primal(problem, type=kind, coarse_modes=2)
     system = primal.system
     V = primal.coarse.V
     torn = primal.pattern.torn
@@ -198,7 +214,7 @@ def test_operator_and_preconditioner_of_an_unsymmetric_matrix(kind, torn_grid, g
     zero = np.zeros(system.copies.size)
     X = np.linalg.solve(K[np.ix_(inside, inside)], K[np.ix_(inside, rows)])
     A = T.T @ (K[np.ix_(rows, rows)] - K[np.ix_(rows, inside)] @ X) @ T
-    equal(of_assembled(lambda x: -system.residual(zero, x), primal, T), A, 1e-11)
+    equal(dense_on_assembled_vectors(lambda x: -system.residual(zero, x), primal, T), A, 1e-11)
     average = T.T * whole(system.copies.delta)
     V = average @ matrix_of_map(V.prolong, V.n_c)
     coarse = V @ np.linalg.pinv(V.T @ A @ V, rcond=1e-10) @ V.T
@@ -207,12 +223,14 @@ def test_operator_and_preconditioner_of_an_unsymmetric_matrix(kind, torn_grid, g
     equal(K_ρ, K_ρ.T, 1e-8)
     M = average @ np.linalg.solve(K_ρ, average.T)
     expected = M - coarse @ A @ M + coarse
-    equal(of_assembled(lambda r: system.precondition(r)[0], primal, T), expected, 1e-8)
+    equal(
+        dense_on_assembled_vectors(lambda r: system.precondition(r)[0], primal, T), expected, 1e-8
+    )
 
 
 @pytest.mark.parametrize("solver", ["mumps", "petsc"])
-def test_transposed_products(solver, torn_grid, read_pattern, lifetime):
-    """Sᵀ X of every subdomain, for all columns at once, and K_II⁻ᵀ."""
+def test_transposed_products_agree_with_products(solver, torn_grid, read_pattern, lifetime):
+    """Yᵀ (S X) = (Sᵀ Y)ᵀ X in each subdomain, for all columns at once and for none."""
     problem = torn_grid(change=unsymmetric(0.1), **WIDE)
     with inserted("test_feti_dirichlet_", {"pc_factor_mat_solver_type": solver}):
         read = read_pattern(problem.A, formulation="primal", interior="auto")
@@ -226,19 +244,21 @@ def test_transposed_products(solver, torn_grid, read_pattern, lifetime):
 
 
 @pytest.mark.parametrize("count", [0, 4])
-def test_least_residuals(count, torn_grid, general_form):
-    """A Z = R H with Rᵀ R = I; V and W get no residual; and its norm is that of the iterate."""
+def test_gmres_reduces_the_residual_of_the_assembled_system(
+    count, torn_grid, create_unsymmetric_primal
+):
+    """A Z = R H with Rᵀ R = I; residuals are orthogonal to V and W, with the monitored norms."""
     problem = torn_grid(change=unsymmetric(0.1, skew=True), **WIDE)
-    plain = general_form(problem)
+    plain = create_unsymmetric_primal(problem)
     copies = plain.system.copies
     f = random_part(plain.system.copies.size)
     W = [copies.average(random_part(copies.size, seed=7 + j)) for j in range(count)]
     W = np.column_stack(W or [f])[:, :count]
-    primal = general_form(problem, DeflationVectors(W, W))
+    primal = create_unsymmetric_primal(problem, DeflationVectors(W, W))
     system = primal.system
     δ = copies.delta[:, None]
     agree(primal.deflation.count == count)
-    _, outcome, basis, norms = least_residuals(primal, f)
+    _, outcome, basis, norms = solve_by_gmres(primal, f)
     agree(outcome.reason == Reason.CONVERGED_RTOL and len(norms) == outcome.iterations + 1)
     agree(np.all(np.diff(norms) <= 0.0))
     R = basis.R.T
@@ -248,13 +268,15 @@ def test_least_residuals(count, torn_grid, general_form):
     AZ = np.column_stack([-system.residual(0.0 * z, z) for z in Z.T])
     equal(whole(AZ), whole(R @ H), 1e-10)
     for its in (0, 3, outcome.iterations):
-        r = system.residual(f, least_residuals(primal, f, max_it=its)[0])
+        r = system.residual(f, solve_by_gmres(primal, f, max_it=its)[0])
         small(system.norm(r) / norms[its] - 1.0, 1e-3)
         small(np.abs(COMM.allreduce(W.T @ (δ * r[:, None]))).max(initial=0.0), 1e-8 * norms[0])
 
 
-def test_symmetric_matrix_takes_the_iterations_of_cg(torn_grid, create_ksp, general_form):
-    """A skew part of 1e-8 makes GMRES of CG."""
+def test_gmres_takes_the_iterations_of_cg_for_a_small_skew_part(
+    torn_grid, create_ksp, create_unsymmetric_primal
+):
+    """A skew part of 1e-8 is enough to select GMRES."""
     counts = []
     for share in (0.0, 1e-8):
         problem = torn_grid(change=unsymmetric(share, skew=True), **WIDE)
@@ -268,8 +290,8 @@ def test_symmetric_matrix_takes_the_iterations_of_cg(torn_grid, create_ksp, gene
 @every_type
 @pytest.mark.parametrize("skew", [True, False], ids=["skew", "indefinite"])
 @pytest.mark.parametrize("share", [0.01, 0.3, 3.0])
-def test_against_lu(share, skew, kind, torn_grid, create_ksp):
-    """Up to matrices that are random but for a pattern; ``auto`` takes the primal form."""
+def test_gmres_solves_unsymmetric_matrices(share, skew, kind, torn_grid, create_ksp):
+    """``auto`` takes the primal form, even if the entries are random but for their pattern."""
     problem = torn_grid(change=unsymmetric(share, skew=skew), **WIDE)
     context = solved(create_ksp(problem.A, feti_type=kind, ksp_rtol=1e-11), problem)
     agree(context.message == "" and context.method == "gmres", context.message)
@@ -280,15 +302,15 @@ def test_against_lu(share, skew, kind, torn_grid, create_ksp):
 
 @pytest.mark.parametrize("components", [1, 2])
 @pytest.mark.parametrize("scaling", ["stiffness", "multiplicity"])
-def test_unsymmetric_pattern(scaling, components, torn_grid, create_ksp):
-    """Entries without a mirror: ½ (K + Kᵀ) has another pattern than K, and other rows."""
+def test_gmres_solves_unsymmetric_patterns(scaling, components, torn_grid, create_ksp):
+    """Entries have no mirror, so that ½ (K + Kᵀ) has another pattern than K, and other rows."""
     problem = torn_grid((3, 2), (7, 7), components=components, change=one_sided(0.02))
     context = solved(create_ksp(problem.A, feti_scaling=scaling, ksp_rtol=1e-11), problem)
     agree(context.method == "gmres" and context.iterations < 25, context.iterations)
 
 
-def test_fresh_starts(torn_grid, create_ksp, monkeypatch):
-    """A few vectors are enough where fresh starts follow; where none does, the message says so."""
+def test_fresh_starts_make_up_for_few_gmres_directions(torn_grid, create_ksp, monkeypatch):
+    """Without fresh starts the method stagnates, and the message says so."""
     monkeypatch.setattr(gmres_module, "GMRES_DIRECTIONS", 8)
     problem = torn_grid(change=unsymmetric(0.1, skew=True), **WIDE)
     ksp = create_ksp(problem.A, ksp_rtol=1e-10)
@@ -298,7 +320,7 @@ def test_fresh_starts(torn_grid, create_ksp, monkeypatch):
     agree("stagnates" in ksp.getPythonContext().message)
 
 
-def test_singular_symmetric_part(torn_grid, create_ksp):
+def test_singular_symmetric_part_is_reported(torn_grid, create_ksp):
     """An interior dof is held only by a skew part: the message suggests other subdomains."""
 
     def change(K, dofs):

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A singular problem never passes, and the message says what moves; a hard one is not singular."""
+"""A singular problem is refused with its free motions; a hard one is not called singular."""
 
 import re
 
@@ -18,11 +18,13 @@ from dolfinx_feti.errors import SetUpError, SingularError
 SEED = 4711
 
 
-def both(first, second):
+def either(first, second):
+    """Return a marker of what one or the other marks."""
     return lambda x: first(x) | second(x)
 
 
-def top(x):
+def bottom(x):
+    """Mark the nodes with x₂ = 0."""
     return x[:, 2] == 0.0
 
 
@@ -74,47 +76,52 @@ FREE = {
         "2 translations and 1 rotation free",
     ),
     "slides on two planes": (
-        case((3, 1, 1), (2, 2, 2), 3, fixed=both(on_plane, components(top, 2))),
+        case((3, 1, 1), (2, 2, 2), 3, fixed=either(on_plane, components(bottom, 2))),
         1,
         "leave 1 translation free",
     ),
 }
 
 
-def check(create_dual, A, dimension, text, **options):
-    """Assert that all processes raise an error with this dimension and these words."""
+def check_singular(create_dual, A, dimension, text, **options):
+    """Assert that all processes raise an error with the dimension of the kernel and a text."""
     with pytest.raises(SingularError) as caught:
         create_dual(A, **options)
-    said = str(caught.value)
-    agree(f"singular, with a kernel of dimension {dimension}:" in said, said)
-    agree(re.search(text, said) and "Add Dirichlet conditions" in said, said)
+    message = str(caught.value)
+    agree(f"singular, with a kernel of dimension {dimension}:" in message, message)
+    agree(re.search(text, message) and "Add Dirichlet conditions" in message, message)
 
 
 @every_type
 @every_interior
 @each(("grid", "dimension", "text"), FREE)
-def test_body_that_moves_as_a_whole(grid, dimension, text, kind, interior, torn_grid, create_dual):
+def test_free_body_is_singular_and_its_motions_are_named(
+    grid, dimension, text, kind, interior, torn_grid, create_dual
+):
+    """The dimension is that of the dense null space; the message counts free motions."""
     problem = torn_grid(**grid)
     null = scipy.linalg.null_space(problem.free_matrix, rcond=1e-12)
     agree(null.shape[1] == dimension, null.shape)
-    check(create_dual, problem.A, dimension, text, type=kind, interior=interior)
+    check_singular(create_dual, problem.A, dimension, text, type=kind, interior=interior)
 
 
 @every_type
 @pytest.mark.parametrize("coarse_q", ["identity", "diagonal", "preconditioner"])
 @pytest.mark.parametrize("pc_type", ["lumped", "identity", "dirichlet"])
-def test_singular_with_any_coarse_matrix(kind, coarse_q, pc_type, torn_grid, create_dual):
-    """With coordinates and without."""
+def test_free_body_is_singular_with_any_coarse_matrix(
+    kind, coarse_q, pc_type, torn_grid, create_dual
+):
+    """The message has the free motions with coordinates of the dofs and without."""
     problem = torn_grid((3, 2), (2, 2), components=2, fixed=on_plane)
     options = {"type": kind, "coarse_q": coarse_q, "pc_type": pc_type}
-    check(create_dual, problem.A, 1, "leave 1 translation free", **options)
+    check_singular(create_dual, problem.A, 1, "leave 1 translation free", **options)
     problem.A.compose("coordinates", None)
-    check(create_dual, problem.A, 1, "leave 1 translation free", **options)
+    check_singular(create_dual, problem.A, 1, "leave 1 translation free", **options)
 
 
 @every_type
 @pytest.mark.parametrize("load", ["dead", "elastic support", "soft support"])
-def test_prestressed_body(load, kind, torn_grid, create_dual):
+def test_prestressed_body_is_singular_unless_supported(load, kind, torn_grid, create_dual):
     """Translations stay a kernel while the prestress is the body's own; a support ends that."""
 
     def springs(K, dofs):  # between the nodes, of either sign: rows that sum to zero
@@ -133,19 +140,21 @@ def test_prestressed_body(load, kind, torn_grid, create_dual):
     count = np.count_nonzero(values < 1e-13 * values.max())
     agree(count == (2 if load == "dead" else 0), np.sort(values)[:4])
     if load == "dead":
-        check(create_dual, problem.A, 2, "leave 2 translations free", type=kind)
+        check_singular(create_dual, problem.A, 2, "leave 2 translations free", type=kind)
     else:
         agree(create_dual(problem.A, type=kind).inertia.dual > 0)
 
 
 @every_type
 @pytest.mark.parametrize("stiff", [1.0, 1e6, 1e8])
-def test_interior_is_singular_and_the_whole_is_not(stiff, kind, torn_grid, create_dual):
-    """An indefinite tangent, far from an equilibrium: no kernel is claimed that there is not."""
+def test_singular_interior_of_a_regular_body_is_reported_as_such(
+    stiff, kind, torn_grid, create_dual
+):
+    """Far from equilibrium a tangent is indefinite; the message does not claim a kernel."""
 
     def shift(K, dofs):
-        here, count = np.unique(np.concatenate(dofs), return_counts=True)
-        inner = np.flatnonzero(np.isin(dofs[0], here[count == 1]))
+        shared_dofs, count = np.unique(np.concatenate(dofs), return_counts=True)
+        inner = np.flatnonzero(np.isin(dofs[0], shared_dofs[count == 1]))
         inner, last = inner[:-1], inner[-1]
         K[0][inner, inner] -= np.linalg.eigvalsh(K[0][np.ix_(inner, inner)])[0]
         for stored in (K[0][last], K[0][:, last]):
@@ -157,9 +166,9 @@ def test_interior_is_singular_and_the_whole_is_not(stiff, kind, torn_grid, creat
     agree(values[0] < 0.0 and np.abs(values).min() > 1e-4, values)
     with pytest.raises(SetUpError) as caught:
         create_dual(problem.A, type=kind, interior="eliminate")
-    said = str(caught.value)
-    agree("kernel of dimension" not in said and "interior" in said, said)
-    agree("other subdomains, or the options feti_interior keep" in said, said)
+    message = str(caught.value)
+    agree("kernel of dimension" not in message and "interior" in message, message)
+    agree("other subdomains, or the options feti_interior keep" in message, message)
 
 
 # ---- several bodies, and mechanisms ---------------------------------------------------------
@@ -197,7 +206,7 @@ APART = [(0, 0), (2, 0), (9, 0), (11, 0)]
 HINGE = [(0, 0), (2, 2)]
 #: Bricks that touch in corners: two on the ground carry a third one by two more in between.
 LINKS = [(0, 0), (2, 2), (4, 4), (6, 2), (8, 0)]
-ENDS = both(on_plane, components(lambda x: x[:, 0] == 13.0, 0, 1))
+ENDS = either(on_plane, components(lambda x: x[:, 0] == 13.0, 0, 1))
 MOTION = r"nothing resists a motion that is not rigid, largest at \((4, 4|2, 4|4, 2)\)"
 #: Places of bricks, their cells, where they are held, how many are one; dimension and message.
 LOOSE = {
@@ -234,33 +243,34 @@ LOOSE = {
 @every_type
 @every_interior
 @each(("bricks", "dimension", "text"), LOOSE)
-def test_loose_bodies_and_mechanisms(
+def test_loose_bodies_and_mechanisms_are_singular_and_named(
     bricks, dimension, text, kind, interior, torn_bricks, create_dual
 ):
+    """The message says which body is free and how, or where a mechanism moves most."""
     A = torn_bricks(*bricks).A
-    check(create_dual, A, dimension, text, type=kind, interior=interior)
+    check_singular(create_dual, A, dimension, text, type=kind, interior=interior)
 
 
 @every_type
 @every_interior
 @every_formulation
 @each(("bricks", "dimension", "text"), LOOSE)
-def test_every_formulation_refuses_what_is_loose(
+def test_every_formulation_refuses_loose_bodies_and_mechanisms(
     bricks, dimension, text, formulation, kind, interior, torn_bricks, create_ksp
 ):
-    """The same message, before the first iteration."""
+    """The message is the same, before the first iteration."""
     options = {"feti_type": kind, "feti_interior": interior, "feti_formulation": formulation}
     context = create_ksp(torn_bricks(*bricks).A, **options).getPythonContext()
     agree(context.singular, context.message)
-    said = context.message
-    agree(f"singular, with a kernel of dimension {dimension}:" in said, said)
-    agree(re.search(text, said), said)
+    message = context.message
+    agree(f"singular, with a kernel of dimension {dimension}:" in message, message)
+    agree(re.search(text, message), message)
 
 
 @every_type
 @every_interior
 @pytest.mark.parametrize("dense", [1000, 5], ids=["all-vectors", "inverse-iteration"])
-def test_hinge_that_is_held_is_no_mechanism(
+def test_supported_hinge_is_not_a_mechanism(
     dense, kind, interior, torn_bricks, create_ksp, monkeypatch
 ):
     """The hinge in one subdomain is a null vector beyond the rigid ones, and joins them."""
@@ -275,7 +285,7 @@ def test_hinge_that_is_held_is_no_mechanism(
 
 # ---- no false alarm -------------------------------------------------------------------------
 
-HARD = {
+HARD_GRIDS = {
     "jumps of the stiffness": case((3, 3), (2, 2), 2, stiffness=lambda i: 1e8 ** (i % 2)),
     "jumps downwards": case((4, 1), (2, 2), 2, stiffness=lambda i: 1e-8**i),
     "slender": case((40, 1), (6, 1), 2),
@@ -288,7 +298,7 @@ HARD = {
 
 @every_type
 @every_interior
-@each("grid", HARD)
-def test_hard_problems_are_not_singular(grid, kind, interior, torn_grid, create_dual):
-    """No error is raised."""
+@each("grid", HARD_GRIDS)
+def test_hard_problems_are_not_called_singular(grid, kind, interior, torn_grid, create_dual):
+    """Large jumps, slender bodies and weak supports are set up without an error."""
     create_dual(torn_grid(**grid).A, type=kind, interior=interior)

@@ -1,9 +1,9 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What compiled code takes is checked at its border: types, order, lengths and bounds.
+"""Arrays that compiled code takes are checked: types, order, lengths and bounds.
 
-And what it gives for columns that fall into panels, against the same columns as a dense matrix.
+Products with columns in panels agree with the same columns as a dense matrix.
 """
 
 import numpy as np
@@ -26,7 +26,8 @@ from dolfinx_feti.runtime.petsc_library import CSRMatrix
 PANELS = {"starts": [0, 2, 3], "rows": [0, 2, 1], "widths": [2, 1], "values": [1.0, 2, 3, 4, 5]}
 
 
-def panels(n=3, real=np.float64, integer=np.int32, **wrong):
+def create_panels(n=3, real=np.float64, integer=np.int32, **wrong):
+    """Return panels of n rows from PANELS, with some arrays replaced by wrong ones."""
     parts = {name: np.array(wrong.get(name, part)) for name, part in PANELS.items()}
     kinds = {name: real if name == "values" else integer for name in parts}
     return Panels(load_panels(COMM), n, **{k: parts[k].astype(kinds[k]) for k in parts})
@@ -34,7 +35,7 @@ def panels(n=3, real=np.float64, integer=np.int32, **wrong):
 
 SINGLE = np.float32
 #: Products of panels with factors of a wrong shape, and the message.
-UNFIT = {
+WRONG_SHAPES = {
     "premultiply-order": (lambda W: W.premultiply(np.eye(2)), "a matrix of shape"),
     "premultiply-columns": (lambda W: W.premultiply(np.eye(3)[:, :2]), "a matrix of shape"),
     "premultiply-strided": (lambda W: W.premultiply(np.eye(6)[:3, ::2]), "not contiguous"),
@@ -48,33 +49,36 @@ UNFIT = {
 }
 
 
-@each(("call", "message"), UNFIT)
-def test_factors_of_panels_fit(call, message):
+@each(("call", "message"), WRONG_SHAPES)
+def test_panels_refuse_factors_of_a_wrong_shape(call, message):
+    """Compiled code would read beyond them."""
     with raises(ValueError, message):
-        call(panels())
+        call(create_panels())
 
 
 #: The same with numbers of another type than those of the panels.
-MISTYPED = {
+WRONG_TYPES = {
     "premultiply": lambda W: W.premultiply(np.eye(3, dtype=SINGLE)),
     "transposed": lambda W: W.multiply_transposed(np.ones((3, 1), dtype=SINGLE)),
-    "single-panels": lambda W: panels(real=SINGLE).premultiply(np.eye(3)),
-    "long-indices": lambda W: panels(integer=np.int64).premultiply(np.eye(3)),
+    "single-panels": lambda W: create_panels(real=SINGLE).premultiply(np.eye(3)),
+    "long-indices": lambda W: create_panels(integer=np.int64).premultiply(np.eye(3)),
     "rows": lambda W: rows_product(W.code, np.ones((2, 3), SINGLE), np.ones(3, SINGLE)),
 }
 
 
-@each("call", MISTYPED)
-def test_factors_of_panels_have_their_type(call):
+@each("call", WRONG_TYPES)
+def test_panels_refuse_factors_of_another_type(call):
+    """Compiled code would take their bytes for numbers of the panels' type."""
     with raises(TypeError, "ctype"):
-        call(panels())
+        call(create_panels())
 
 
 #: A path of three nodes of one row each.
 GRAPH = {"size": [1, 1, 1], "ptr": [0, 1, 3, 4], "adjacent": [1, 0, 2, 1], "rows": [0, 1, 2]}
 
 
-def fronts(glued=(False, False, True), integer=np.int32, **wrong):
+def create_path_fronts(glued=(False, False, True), integer=np.int32, **wrong):
+    """Return the fronts of the path, with some arrays of its graph replaced by wrong ones."""
     parts = {name: np.array(wrong.get(name, part), integer) for name, part in GRAPH.items()}
     graph = (parts["ptr"], parts["adjacent"])
     number = np.arange(3, dtype=np.int32)
@@ -82,7 +86,8 @@ def fronts(glued=(False, False, True), integer=np.int32, **wrong):
     return Fronts(code, parts["rows"], number, parts["size"], graph, np.array(glued))
 
 
-def path(integer=np.int32, real=np.float64):
+def path_matrix(integer=np.int32, real=np.float64):
+    """Return the matrix of the path in arrays of these types."""
     indptr = [0, 2, 5, 7]
     indices = [0, 1, 0, 1, 2, 1, 2]
     values = [2.0, -1, -1, 2, -1, -1, 2]
@@ -91,8 +96,8 @@ def path(integer=np.int32, real=np.float64):
 
 def analyse(**wrong):
     """Call the analysis of fronts itself."""
-    given = {"ptr": [0, 1, 2], "adjacent": [1, 0], "size": [1, 1], "order": [0, 1], **wrong}
-    arrays = {name: np.array(values, dtype=np.int32) for name, values in given.items()}
+    graph_arrays = {"ptr": [0, 1, 2], "adjacent": [1, 0], "size": [1, 1], "order": [0, 1], **wrong}
+    arrays = {name: np.array(values, dtype=np.int32) for name, values in graph_arrays.items()}
     sizes = {"nodes": len(arrays["size"]), "interior_nodes": len(arrays["order"])}
     code = load_fronts(COMM)
     created = code.ffi.new("assembly_tree **")
@@ -108,20 +113,30 @@ INVALID = "graph of the subdomain, or the order of its nodes, is invalid"
 TOO_LARGE = [[2**30, 2**30], [2**30, 2**30 - 1], [19 * 10**8, 1]]
 #: What is built, the error, and wrong values of its arrays.
 REFUSED = [
-    (panels, ValueError, "panels do not fit", {"n": [2]}),
+    (create_panels, ValueError, "panels do not fit", {"n": [2]}),
     (
-        panels,
+        create_panels,
         ValueError,
         "panels do not fit",
         {"starts": [[0, 2], [1, 2, 3], [0, 3, 2], [0, 2, 4]]},
     ),
-    (panels, ValueError, "panels do not fit", {"rows": [[0, -1, 1], [0, 3, 1]]}),
-    (panels, ValueError, "panels do not fit", {"widths": [[2], [2, -1], [2, 2]]}),
-    (panels, ValueError, "panels do not fit", {"values": [[1.0, 2, 3, 4]]}),
-    (fronts, FactorError, INVALID, {"size": [[1, 1], [1, 1, 0], [1, 1, 2]]}),
-    (fronts, FactorError, INVALID, {"ptr": [[0, 1, 3], [0, 1, 3, 5], [0, 3, 1, 4], [1, 1, 3, 4]]}),
-    (fronts, FactorError, INVALID, {"adjacent": [[1, 0, 3, 1], [1, 0, -1, 1], [1, 0, 2]]}),
-    (fronts, FactorError, INVALID, {"rows": [[0, 1]], "glued": [[False, True]]}),
+    (create_panels, ValueError, "panels do not fit", {"rows": [[0, -1, 1], [0, 3, 1]]}),
+    (create_panels, ValueError, "panels do not fit", {"widths": [[2], [2, -1], [2, 2]]}),
+    (create_panels, ValueError, "panels do not fit", {"values": [[1.0, 2, 3, 4]]}),
+    (create_path_fronts, FactorError, INVALID, {"size": [[1, 1], [1, 1, 0], [1, 1, 2]]}),
+    (
+        create_path_fronts,
+        FactorError,
+        INVALID,
+        {"ptr": [[0, 1, 3], [0, 1, 3, 5], [0, 3, 1, 4], [1, 1, 3, 4]]},
+    ),
+    (
+        create_path_fronts,
+        FactorError,
+        INVALID,
+        {"adjacent": [[1, 0, 3, 1], [1, 0, -1, 1], [1, 0, 2]]},
+    ),
+    (create_path_fronts, FactorError, INVALID, {"rows": [[0, 1]], "glued": [[False, True]]}),
     (analyse, FactorError, INVALID, {"adjacent": [[2, 0], [-1, 0]], "size": [[1, 0]]}),
     (analyse, FactorError, INVALID, {"order": [[1, 1], [0, 2], [0, -1], [0, 1, 1]]}),
     # more than 2³¹ dofs, or 2⁶⁰ entries, are refused before memory is asked for
@@ -130,7 +145,8 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("build", "kind", "message", "wrong"), REFUSED)
-def test_arrays_that_do_not_fit(build, kind, message, wrong):
+def test_arrays_that_do_not_fit_together_are_refused(build, kind, message, wrong):
+    """Each wrong array is found before compiled code reads it."""
     build()
     for name, values in wrong.items():
         for value in values:
@@ -139,24 +155,27 @@ def test_arrays_that_do_not_fit(build, kind, message, wrong):
 
 
 @pytest.mark.parametrize("name", ["indptr", "indices", "values"])
-def test_fronts_take_matrices_of_their_pattern(name):
-    K = path()
+def test_fronts_refuse_matrices_of_another_pattern(name):
+    """An array that is too short is found before it is read."""
+    K = path_matrix()
     shorter = K._replace(**{name: getattr(K, name)[:-1]})
     with raises(FactorError, "pattern of the matrix has changed"):
-        fronts().factor(shorter, WorkSpace())
+        create_path_fronts().factor(shorter, WorkSpace())
 
 
 @pytest.mark.parametrize(
     "types", [{"integer": np.int64}, {"real": np.float32}], ids=["long", "single"]
 )
-def test_fronts_take_matrices_of_their_type(types):
+def test_fronts_refuse_matrices_of_another_type(types):
+    """Long indices and single precision are not converted."""
     with raises(TypeError, "ctype"):
-        fronts().factor(path(**types), WorkSpace())
+        create_path_fronts().factor(path_matrix(**types), WorkSpace())
 
 
-def test_fronts_take_an_addend_on_the_last_front():
+def test_fronts_refuse_an_addend_of_another_size():
+    """It has as many rows as the last front."""
     with raises(ValueError, r"addend_on_last has shape \(3, 3\)"):
-        fronts().factor(path(), WorkSpace(), np.eye(3))
+        create_path_fronts().factor(path_matrix(), WorkSpace(), np.eye(3))
 
 
 @pytest.mark.parametrize(
@@ -164,13 +183,14 @@ def test_fronts_take_an_addend_on_the_last_front():
     [((1,), IndexError), ((3,), ValueError), ((3, 2), ValueError)],
     ids=["short", "long", "wide"],
 )
-def test_fronts_take_right_hand_sides_of_their_size(shape, error):
-    (factor, _) = fronts().factor(path(), WorkSpace())
+def test_fronts_refuse_right_hand_sides_of_another_size(shape, error):
+    """The size is that of the interior."""
+    (factor, _) = create_path_fronts().factor(path_matrix(), WorkSpace())
     with raises(error, "bounds|shape"):
         factor.solve(np.ones(shape))
 
 
-SHARES = {
+WRONG_BLOCKS = {
     "row-beyond": ([0, 3], np.ones(3), "Rows 0 … 3 are not those of a matrix of order 3"),
     "negative-row": ([-1, 2], np.ones(3), "Rows -1 … 2 are not those"),
     "entries": ([0, 2], np.ones(4), "4 entries does not fit 2 rows"),
@@ -178,8 +198,9 @@ SHARES = {
 }
 
 
-@each(("rows", "entries", "message"), SHARES)
-def test_shares_have_rows_of_the_matrix(rows, entries, message):
+@each(("rows", "entries", "message"), WRONG_BLOCKS)
+def test_shared_blocks_with_wrong_rows_or_entries_are_refused(rows, entries, message):
+    """A block has rows of the matrix, and a packed triangle of contiguous entries."""
     code = load_block_code(COMM)
     A = np.zeros((3, 3), np.float32, order="F")
     add_block(code, A, SharedBlock(np.array([0, 2], np.int32), np.arange(3.0)))
@@ -187,7 +208,8 @@ def test_shares_have_rows_of_the_matrix(rows, entries, message):
         add_block(code, A, SharedBlock(np.array(rows, np.int32), entries))
 
 
-def test_shares_are_added_by_columns():
+def test_shared_blocks_are_added_to_matrices_in_fortran_order():
+    """One in C order is refused."""
     block = SharedBlock(np.array([0], np.int32), np.ones(1))
     with raises(ValueError, "not contiguous in F order"):
         add_block(load_block_code(COMM), np.zeros((3, 3), np.float32), block)
@@ -196,16 +218,17 @@ def test_shares_are_added_by_columns():
 @pytest.mark.parametrize(
     ("real", "integer"), [(np.float64, np.int32), (np.float32, np.int64)], ids=["double", "long"]
 )
-def test_shares_have_the_types_of_the_code(real, integer):
+def test_shared_blocks_of_another_type_are_refused(real, integer):
+    """The matrix is in single precision, rows are 32-bit integers."""
     A = np.zeros((3, 3), real, order="F")
     with raises(TypeError, "ctype"):
         add_block(load_block_code(COMM), A, SharedBlock(np.array([0], integer), np.ones(1)))
 
 
-def test_elements_couple_subdomains_that_are_near():
-    """An element matrix is refused if its blocks are not adjacent, or its shape is wrong."""
+def test_element_matrices_of_distant_subdomains_are_refused():
+    """An element matrix has blocks of adjacent subdomains only, and the size of them."""
     base = 2 * COMM.rank
-    one = panels(1, starts=[0, 1], rows=[0], widths=[1], values=[1.0])
+    one = create_panels(1, starts=[0, 1], rows=[0], widths=[1], values=[1.0])
     basis = LocalCoarseBasis([one, one], [np.array([base + i]) for i in (0, 1)])
     dofmap = CoarseDofMap(basis, [1, 1], COMM)
     assembler = CoarseAssembler(dofmap)
@@ -229,8 +252,12 @@ def test_elements_couple_subdomains_that_are_near():
 # ---- products with panels -------------------------------------------------------------------
 
 
-def some_panels(n):
-    """A whole panel, one on a few rows, one of no rows, one on a single row, one of no columns."""
+def panels_and_columns(n):
+    """Return panels with n rows, and their columns as a dense matrix.
+
+    There is a whole panel, one on a few rows, one of no rows, one on a single row, and one of no
+    columns.
+    """
     rng = np.random.default_rng(1815)
     rows = [np.arange(n), np.arange(0, n, 3), np.arange(0), np.array([n - 1]), np.arange(2)]
     widths = [4, 2, 3, 1, 0]
@@ -241,36 +268,39 @@ def some_panels(n):
         columns[of] = part
         W = np.hstack([W, columns])
     parts = {"starts": np.cumsum([0, *map(len, rows)]), "rows": np.concatenate(rows)}
-    return panels(n, **parts, widths=widths, values=np.concatenate([*map(np.ravel, values)])), W
+    return create_panels(
+        n, **parts, widths=widths, values=np.concatenate([*map(np.ravel, values)])
+    ), W
 
 
 @pytest.mark.parametrize("n", [5, TILE, 2 * TILE + 7])
-def test_products_are_those_of_the_dense_columns(n, monkeypatch):
+def test_products_with_panels_agree_with_dense_columns(n, monkeypatch):
     """S is in packed format, as Schur complements are; every entry of a result is written."""
     monkeypatch.setattr(np, "empty", lambda shape, dtype=float: np.full(shape, np.nan, dtype))
-    some, W = some_panels(n)
+    panels, W = panels_and_columns(n)
     rng = np.random.default_rng(1815)
     S = rng.standard_normal((n, n))
     Y = rng.standard_normal((n, 3))
     S = S + S.T
-    agree(some.shape == W.shape)
-    equal(some.dense(), W)
-    equal(some.multiply_transposed(Y), W.T @ Y, 1e-13 * n)
-    E = some.multiply_transposed(S @ W, is_symmetric=True)
+    agree(panels.shape == W.shape)
+    equal(panels.dense(), W)
+    equal(panels.multiply_transposed(Y), W.T @ Y, 1e-13 * n)
+    E = panels.multiply_transposed(S @ W, is_symmetric=True)
     equal(E, W.T @ S @ W, 1e-13 * n**2)
-    equal(some.premultiply(S), S @ W, 1e-13 * n)
+    equal(panels.premultiply(S), S @ W, 1e-13 * n)
     single = S.astype(np.float32)
     for rows in (S, single):
-        found = rows_product(some.code, rows, Y[:, 0])
-        equal(found, rows.astype(np.float64) @ Y[:, 0], 1e-13 * n)
-    equal(some.squares(), (W**2).sum(axis=0), 1e-13 * n)
+        product = rows_product(panels.code, rows, Y[:, 0])
+        equal(product, rows.astype(np.float64) @ Y[:, 0], 1e-13 * n)
+    equal(panels.squares(), (W**2).sum(axis=0), 1e-13 * n)
     matrix = PackedMatrix(pack(S), n, WorkSpace())
-    equal(matrix.multiply_panels(some), S @ W, 1e-13 * n)
+    equal(matrix.multiply_panels(panels), S @ W, 1e-13 * n)
 
 
 @pytest.mark.parametrize("n", [0, 3])
-def test_no_panels(n):
-    none = panels(n, starts=[0], rows=[], widths=[], values=[])
+def test_products_without_panels_are_empty(n):
+    """A subdomain may contribute no column."""
+    none = create_panels(n, starts=[0], rows=[], widths=[], values=[])
     agree(none.shape == (n, 0) == none.dense().shape == none.premultiply(np.eye(n)).shape)
     agree(none.multiply_transposed(np.ones((n, 2))).shape == (0, 2) and len(none.squares()) == 0)
     matrix = PackedMatrix(pack(np.eye(n)), n, WorkSpace())

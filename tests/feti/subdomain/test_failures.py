@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Work on a subdomain that fails on the last process alone is one error on all of them."""
+"""An error of one subdomain, on one process alone, is one error on all processes."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 from cases import each, every_formulation
 from collective import COMM, agree, raises
-from hand_torn import aij, random_values, solve, solved
+from hand_torn import aij, random_values, solve, solved, subdomains_of
 from modes import factors_of
 
 from dolfinx_feti.errors import FactorError, SetUpError
@@ -21,7 +21,7 @@ from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace, pack
 from dolfinx_feti.feti.subsolver_options import DirectOptions
 from dolfinx_feti.runtime.petsc_options import inserted
 
-many = pytest.mark.processes(1, 2, 3, 4, 8)
+any_number = pytest.mark.processes(1, 2, 3, 4, 8)
 
 GRID = {"subdomains": (4, 2), "cells": (5, 2), "components": 2}
 WORK_SPACE = "dolfinx_feti.feti.subdomain.factors.petsc_solver.WORK_SPACE"
@@ -39,7 +39,13 @@ ERRORS = {
 
 
 def fail_on_last(monkeypatch, place, error):
-    """Replace a function by one that raises an error on the last process."""
+    """Replace a function by one that raises an error on the last process.
+
+    Args:
+        monkeypatch: The fixture.
+        place: Name of the function in ``dolfinx_feti.feti.subdomain``.
+        error: Class of the error and its argument, a value of ERRORS.
+    """
 
     def fail(*args, **kwargs):
         raise error[0](error[1])
@@ -48,21 +54,22 @@ def fail_on_last(monkeypatch, place, error):
         monkeypatch.setattr(f"dolfinx_feti.feti.subdomain.{place}", fail)
 
 
-@many
+@any_number
 @each("error", ERRORS)
-def test_every_error_is_one_on_all(error, torn_grid, create_dual, monkeypatch):
+def test_error_on_one_process_is_a_set_up_error_on_all(error, torn_grid, create_dual, monkeypatch):
+    """The message has the subdomain and the message of the error."""
     fail_on_last(monkeypatch, "mode_search.soft_modes", error)
     A = torn_grid(**GRID).A
-    first = min(i for i in range(8) if i * COMM.size // 8 == COMM.size - 1)
+    first = subdomains_of(COMM.size - 1, 8)[0]
     words = str(error[0](error[1])).split("(")[0].strip()
     with raises(SetUpError, rf"failed \(subdomain {first}: .*{words}"):
         create_dual(A)
 
 
-@many
+@any_number
 @every_formulation
-def test_solver_goes_on_when_the_cause_is_gone(formulation, torn_grid, create_ksp, monkeypatch):
-    """The failure is a negative reason with a message, and the next set-up succeeds.
+def test_set_up_succeeds_once_the_cause_is_gone(formulation, torn_grid, create_ksp, monkeypatch):
+    """Before, the failure is a negative reason with a message.
 
     Without adaptive columns both formulations look for soft modes.
     """
@@ -76,8 +83,8 @@ def test_solver_goes_on_when_the_cause_is_gone(formulation, torn_grid, create_ks
     solved(ksp, problem, 1e-5)
 
 
-def test_not_enough_work_space(torn_grid, create_dual, monkeypatch):
-    """MUMPS fails for real with too little work space, and gets more of it."""
+def test_mumps_gets_more_work_space_if_it_is_short(torn_grid, create_dual, monkeypatch):
+    """The first attempt really fails; if the last one does, the message names the option."""
     monkeypatch.setattr(create, "multifrontal_code", lambda *_: None)
     monkeypatch.setattr(WORK_SPACE, (-99, 50))
     problem = torn_grid((2, 2), (12, 12), components=2)
@@ -102,7 +109,8 @@ def test_memory_is_in_mebibytes(torn_grid, create_dual, monkeypatch):
     agree(dense.memory() == 256 * 513 * 8 / 2**20)
 
 
-def test_other_solvers_do_not_tell(torn_grid, create_dual):
+def test_inertia_is_unknown_with_petscs_own_factorisation(torn_grid, create_dual):
+    """Its pivots are not counted."""
     with inserted("test_feti_local_", {"pc_factor_mat_solver_type": "petsc"}):
         system = create_dual(torn_grid(**GRID).A, interior="keep", type="classical")
     counts = [factor.inertia for factor in factors_of(system)]
@@ -110,8 +118,8 @@ def test_other_solvers_do_not_tell(torn_grid, create_dual):
     agree(system.inverse.count_negative_eigenvalues() is None)
 
 
-def test_interior_that_only_seems_singular(torn_grid, create_dual, monkeypatch):
-    """An ill-conditioned interior may amplify random vectors without having a null vector."""
+def test_ill_conditioned_interior_is_accepted(torn_grid, create_dual, monkeypatch):
+    """It may amplify random vectors without having a null vector."""
     name = "dolfinx_feti.feti.subdomain.interior.is_numerically_singular"
     monkeypatch.setattr(name, lambda *_: True)
     create_dual(torn_grid(**GRID).A, interior="eliminate")
@@ -138,7 +146,8 @@ def laplacian(lifetime):
 
 @pytest.mark.serial
 @each(("options", "infog", "remedy"), SHORTAGES)
-def test_shortage_of_memory(options, infog, remedy, laplacian):
+def test_shortage_of_memory_names_the_option_of_mumps(options, infog, remedy, laplacian):
+    """An allocation that fails and too low a limit have different remedies."""
     with inserted(PREFIX, options), pytest.raises(MemoryError) as caught:
         factor_matrix(laplacian, CHOICE)
     assert f"not enough memory or work space (MUMPS: INFOG(1) = {infog}" in str(caught.value)
@@ -147,7 +156,8 @@ def test_shortage_of_memory(options, infog, remedy, laplacian):
 
 @pytest.mark.serial
 @pytest.mark.parametrize("option", [{"mat_mumps_icntl_22": 1}, {"mat_mumps_icntl_23": 64}])
-def test_remedies_work(option, laplacian, lifetime):
+def test_options_against_a_shortage_of_memory_work(option, laplacian, lifetime):
+    """Factors out of core, or with a limit that suffices, solve accurately."""
     with inserted(PREFIX, option):
         factor = lifetime.own(factor_matrix(laplacian, CHOICE))
     b, x = map(lifetime.own, laplacian.createVecs())

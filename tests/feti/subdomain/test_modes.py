@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The modes of a subdomain: its kernel, rigid or not, soft and buckling modes, and their bases."""
+"""The modes of a subdomain: its kernel, soft and buckling modes, and orthonormal bases."""
 
 from types import SimpleNamespace
 
@@ -39,7 +39,7 @@ NODES = np.argwhere(np.ones((3, 3, 3))) * 1.0
 
 
 #: Where a brick is held, in which components, and how many rigid body modes are left.
-HELD = {
+FIXED_DOFS = {
     "nowhere": (components(nowhere), 6),
     "one component of a vertex": (components(origin, 1), 5),
     "two components of a vertex": (components(origin, 0, 2), 4),
@@ -55,22 +55,20 @@ HELD = {
 }
 
 
-@each(("held", "dimension"), HELD)
-def test_kernel_is_what_a_singular_value_decomposition_finds(
-    held, dimension, torn_grid, create_dual
-):
-    """In classical FETI, against the null space of a brick's matrix without its fixed dofs.
+@each(("is_held", "dimension"), FIXED_DOFS)
+def test_kernel_is_the_null_space_without_fixed_dofs(is_held, dimension, torn_grid, create_dual):
+    """For a brick that classical FETI holds in some of its dofs, against dense algebra.
 
     Another subdomain is held by a face, so that the whole is regular; it has no kernel. The factor
     of the regularised matrix is positive definite: the kernel is no larger.
     """
 
     def fixed(x):
-        return held(x) | (x[:, :1] == 4.0)
+        return is_held(x) | (x[:, :1] == 4.0)
 
     problem = torn_grid((2, 1, 1), BRICK, components=3, fixed=fixed)
     system = create_dual(problem.A, type="classical")
-    errors = [0.0]
+    errors = {"R is orthonormal": 0.0, "K R = 0": 0.0, "R lies in the null space": 0.0}
     nullities = []
     for K_i in system.inverse.by_subdomain:
         rows = K_i.dofs
@@ -78,21 +76,23 @@ def test_kernel_is_what_a_singular_value_decomposition_finds(
         K = problem.K_torn[
             np.ix_(system.torn.first_torn_dof + rows, system.torn.first_torn_dof + rows)
         ]
-        null = scipy.linalg.null_space(K, rcond=1e-10) if len(K) else K
-        errors += [
-            np.abs(R.T @ R - np.eye(R.shape[1])).max(initial=0.0),
-            np.abs(K @ R).max(initial=0.0) / np.abs(K).max(initial=1.0),
-            np.abs(null @ (null.T @ R) - R).max(initial=0.0),
-        ]
-        nullities.append(null.shape[1])
-    small(max(errors), 1e-12)
+        null_space = scipy.linalg.null_space(K, rcond=1e-10) if len(K) else K
+        of_subdomain = {
+            "R is orthonormal": R.T @ R - np.eye(R.shape[1]),
+            "K R = 0": K @ R / np.abs(K).max(initial=1.0),
+            "R lies in the null space": null_space @ (null_space.T @ R) - R,
+        }
+        for name, difference in of_subdomain.items():
+            errors[name] = np.maximum(errors[name], np.abs(difference).max(initial=0.0))
+        nullities.append(null_space.shape[1])
+    agree(all(error <= 1e-12 for error in errors.values()), errors)
     equal(whole(modes_of(system).dimensions), whole(np.array(nullities)))
     agree(whole(np.array(nullities))[0] == dimension, nullities)
     counts = [factor.inertia for factor in factors_of(system)]
     agree(all(count == (0, 0) for count in counts), counts)
 
 
-def test_modes_that_coincide_on_a_subdomain_count_once():
+def test_coinciding_modes_count_once():
     """On a single node a rotation is a translation."""
     modes = np.hstack([np.eye(3), np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])])
     equal(rigid_modes(modes, np.zeros(3, dtype=bool)).shape, (3, 3))
@@ -118,6 +118,7 @@ CELLS = 198
 
 
 def quarter_tube(subdomains, kappa=1000.0, **options):
+    """Return a quarter of a short tube, and its problem under no load."""
     body = wall(tube(**QUARTER), kappa=kappa, quarter=True)
     return body, body.problem(subdomains, options)
 
@@ -125,8 +126,8 @@ def quarter_tube(subdomains, kappa=1000.0, **options):
 @every_interior
 @pytest.mark.parametrize("kappa", [1000.0, 1e5])
 @pytest.mark.parametrize("subdomains", [64, CELLS])
-def test_kernel_of_a_few_cells(subdomains, kappa, interior, create_dual):
-    """A cell has three null vectors beside the rigid ones; all count as kernel, with D = 0."""
+def test_null_vectors_of_few_cells_are_kernel(subdomains, kappa, interior, create_dual):
+    """A P2–P0 cell has three beside the rigid ones; all count as kernel, with D = 0."""
     _, problem = quarter_tube(subdomains, kappa)
     problem._system.residual()
     problem._system.linearise()
@@ -186,8 +187,8 @@ class DenseMatrix:
 
 
 @pytest.mark.parametrize("dense", [100, 5], ids=["all-vectors", "inverse-iteration"])
-def test_null_vectors_of_a_graded_matrix(dense, monkeypatch):
-    """They are those of the scaled matrix, although the factor is that of the matrix before."""
+def test_null_vectors_are_those_of_the_scaled_matrix(dense, monkeypatch):
+    """The factor is that of the matrix before its rows were scaled to a unit diagonal."""
     monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", dense)
     rng = np.random.default_rng(SEED)
     n = 60
@@ -198,7 +199,7 @@ def test_null_vectors_of_a_graded_matrix(dense, monkeypatch):
     scaled = scale_matrix(DenseMatrix(K), np.zeros(n), allow_single_precision=False)
     Y = scaled.null_vectors(np.zeros((n, 0)))
     expected = scaled.scale * Q[:, 0] / row_scale
-    spans(Y, expected[:, None] / np.linalg.norm(expected), 1e-6)
+    check_span(Y, expected[:, None] / np.linalg.norm(expected), 1e-6)
 
 
 # ---- soft and buckling modes ----------------------------------------------------------------
@@ -208,20 +209,30 @@ SIZES = (60, MAX_DOFS_FOR_EIGH + 100)  # dense, and by subspace iteration or Lan
 every_size = pytest.mark.parametrize("n", SIZES)
 
 
-def matrix(n, values, most=2.0):
-    """A symmetric matrix with some given eigenvalues, others from 1 to most, and its vectors."""
+def matrix_with_eigenvalues(n, values, most=2.0):
+    """Return a symmetric matrix, (n, n), and some of its eigenvectors.
+
+    Args:
+        n: Order of the matrix.
+        values: Some eigenvalues; the others are from 1 to ``most``.
+        most: Largest of the others.
+
+    Returns:
+        The matrix, and orthonormal eigenvectors to ``values``, (n, len(values)).
+    """
     rng = np.random.default_rng(SEED)
     Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
     spectrum = np.concatenate([values, np.geomspace(1.0, most, n - len(values))])
     return (Q * spectrum) @ Q.T, Q[:, : len(values)]
 
 
-def solver(K):
+def dense_solver(K):
+    """Return a function that multiplies columns by K⁻¹."""
     inverse = np.linalg.inv(K)
     return lambda X: inverse @ X
 
 
-def spans(Y, expected, tolerance):
+def check_span(Y, expected, tolerance):
     """Assert that the columns Y span those expected."""
     Q = np.linalg.qr(Y)[0]
     agree(Y.shape == expected.shape, (Y.shape, expected.shape))
@@ -233,12 +244,12 @@ def spans(Y, expected, tolerance):
 def test_soft_modes_are_those_below_the_threshold(n, threshold, count):
     """With unit weights μ is an eigenvalue of K, and each power takes μ off the error.
 
-    Of a large subdomain one that is close to the threshold is not found for sure.
+    In a large subdomain one that is close to the threshold may be missed.
     """
     values = [5e-5, 5e-3, 5e-2, 0.3] if n <= MAX_DOFS_FOR_EIGH else [5e-5, 5e-3, 5e-2, 0.15]
-    K, modes = matrix(n, values)
-    Y = soft_modes(solver(K), np.ones(n), 12, threshold)
-    spans(
+    K, modes = matrix_with_eigenvalues(n, values)
+    Y = soft_modes(dense_solver(K), np.ones(n), 12, threshold)
+    check_span(
         Y,
         modes[:, :count],
         1e-10 if n <= MAX_DOFS_FOR_EIGH else 10.0 * values[count - 1] ** SUBSPACE_STEPS,
@@ -246,34 +257,34 @@ def test_soft_modes_are_those_below_the_threshold(n, threshold, count):
 
 
 @every_size
-def test_soft_modes_are_the_softest_that_may_join(n):
-    """K y = μ k y: the same K is soft beside a stiff interface only."""
-    K, modes = matrix(n, [1e-4, 1e-3, 2e-3, 5e-3])
-    spans(soft_modes(solver(K), np.ones(n), 2, 1e-2), modes[:, :2], 0.05)
+def test_softest_modes_join_first(n):
+    """They solve K y = μ k y: the same K is soft beside a stiff interface only."""
+    K, modes = matrix_with_eigenvalues(n, [1e-4, 1e-3, 2e-3, 5e-3])
+    check_span(soft_modes(dense_solver(K), np.ones(n), 2, 1e-2), modes[:, :2], 0.05)
     for most, threshold in ((0, 1e-2), (12, 0.0)):
-        agree(soft_modes(solver(K), np.ones(n), most, threshold).shape == (n, 0))
-    K, modes = matrix(n, [0.05])
-    agree(soft_modes(solver(K), np.ones(n), 12, 1e-2).shape[1] == 0)
-    spans(soft_modes(solver(K), np.full(n, 10.0), 1, 1e-2), modes, 0.05)
+        agree(soft_modes(dense_solver(K), np.ones(n), most, threshold).shape == (n, 0))
+    K, modes = matrix_with_eigenvalues(n, [0.05])
+    agree(soft_modes(dense_solver(K), np.ones(n), 12, 1e-2).shape[1] == 0)
+    check_span(soft_modes(dense_solver(K), np.full(n, 10.0), 1, 1e-2), modes, 0.05)
 
 
 @every_size
 @pytest.mark.parametrize(
     ("values", "most"), [((-0.5, -0.02, -1e-3), 2.0), ((-1e5, -1.0, -0.5), 1e5)]
 )
-def test_buckling_modes(values, most, n):
+def test_buckling_modes_span_the_negative_eigenvectors(values, most, n):
     """The inverse shows those near zero, the matrix one that is far below."""
-    K, modes = matrix(n, values, most)
-    spans(
-        buckling_modes(solver(K), lambda X: K @ X, n, 3),
+    K, modes = matrix_with_eigenvalues(n, values, most)
+    check_span(
+        buckling_modes(dense_solver(K), lambda X: K @ X, n, 3),
         modes,
         1e-10 if n <= MAX_DOFS_FOR_EIGH else 0.05,
     )
 
 
 @every_type
-def test_more_soft_modes_fewer_iterations(kind, torn_grid, create_ksp):
-    """Of the dual formulation: slender subdomains bend softly; the solution stays what it is."""
+def test_more_soft_modes_take_fewer_dual_iterations(kind, torn_grid, create_ksp):
+    """Slender subdomains bend softly; the solution does not depend on the modes."""
     problem = torn_grid((2, 3), (16, 2), components=2)
     values = random_values(problem)
     iterations = []
@@ -297,18 +308,20 @@ def test_more_soft_modes_fewer_iterations(kind, torn_grid, create_ksp):
 
 
 @pytest.mark.parametrize(
-    ("taken", "adaptive", "found"),
+    ("share", "adaptive", "has_soft_modes"),
     [(0.0, 9, False), (0.0, 0, True), (1e-6, 9, False), (1e-3, 9, True)],
     ids=["at-rest", "no-adaptive-columns", "hardly-softened", "softened"],
 )
-def test_adaptive_columns_take_the_place_of_soft_modes(
-    taken, adaptive, found, torn_grid, read_pattern, lifetime
+def test_adaptive_columns_replace_soft_modes_in_the_primal_form(
+    share, adaptive, has_soft_modes, torn_grid, read_pattern, lifetime
 ):
-    """In the primal form; not where stress takes a share of the stiffness away."""
-    problem = torn_grid((2, 3), (16, 2), components=2, change=softened(taken))
+    """Not if stress takes a share of the stiffness away."""
+    problem = torn_grid((2, 3), (16, 2), components=2, change=softened(share))
     options = {"interior": "eliminate", "coarse_adaptive": adaptive, "coarse_threshold": 0.5}
     setup = set_up(read_pattern(problem.A, **options), lifetime, lifetime, is_primal=True)
-    agree((COMM.allreduce(sum(modes.n_soft for modes in setup.inverse.modes)) > 0) == found)
+    agree(
+        (COMM.allreduce(sum(modes.n_soft for modes in setup.inverse.modes)) > 0) == has_soft_modes
+    )
 
 
 # ---- orthonormal bases, and columns that depend on others -----------------------------------
@@ -316,16 +329,17 @@ def test_adaptive_columns_take_the_place_of_soft_modes(
 EPS = np.finfo(float).eps
 
 
-def columns(n, rank, repeated):
-    """Columns of sizes from 1e-3 to 1e3, and combinations of them, up to rounding."""
+def dependent_columns(n, rank, repeated):
+    """Return columns of sizes from 1e-3 to 1e3 and combinations of them, (n, rank + repeated)."""
     rng = np.random.default_rng(1907)
     X = rng.standard_normal((n, rank)) * np.geomspace(1e-3, 1e3, rank)
     return np.hstack([X, X @ rng.standard_normal((rank, repeated))])
 
 
 @pytest.mark.parametrize("repeated", [0, 3])
-def test_bases_in_euclids_scalar_product(repeated):
-    X = columns(40, 4, repeated)
+def test_orthonormal_bases_have_the_rank_of_the_columns(repeated):
+    """Columns that depend on others are dropped, whatever their sizes."""
+    X = dependent_columns(40, 4, repeated)
     Q = orthonormal(X)
     B = orthonormal_combinations(X)
     agree(Q.shape == (40, 4) and B.shape == (4 + repeated, 4))
@@ -334,8 +348,8 @@ def test_bases_in_euclids_scalar_product(repeated):
     equal((X @ B).T @ X @ B, np.eye(4), 1e6 * 100 * EPS)  # κ = 1e6
 
 
-def test_append_orthonormal():
-    """The columns are orthonormal, and what is there already is dropped."""
+def test_appended_columns_are_orthonormal():
+    """What is in the span already is dropped."""
     rng = np.random.default_rng(1907)
     R = np.linalg.qr(rng.standard_normal((30, 4)))[0]
     new = rng.standard_normal((30, 2))

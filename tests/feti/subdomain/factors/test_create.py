@@ -31,16 +31,17 @@ def spd(n, seed):
     return X @ X.T + n * np.eye(n)
 
 
-def packed(S, work):
+def create_packed(S, work):
+    """Return a matrix in packed format that unpacks into a shared work space."""
     return PackedMatrix(pack(np.asfortranarray(S)), len(S), work)
 
 
 @pytest.mark.parametrize("single", [False, True], ids=["double", "single"])
-def test_factors_and_matrices_share_a_work_space(single):
+def test_factors_that_share_a_work_space_do_not_interfere(single):
     """Solves and products in turn do not spoil each other's triangles."""
     work = WorkSpace()
     matrices = [spd(30, 1), spd(20, 2)]
-    stored = [packed(S, work) for S in matrices]
+    stored = [create_packed(S, work) for S in matrices]
     R = [S[:, :0] for S in matrices]
     create_factor = create.factor_dense_for_preconditioner if single else create.factor_dense
     factors = [create_factor(S, columns, 40.0) for S, columns in zip(stored, R, strict=True)]
@@ -55,6 +56,7 @@ def test_factors_and_matrices_share_a_work_space(single):
 
 
 def test_work_space_unpacks_the_same_triangle_once():
+    """A triangle is unpacked again only after another one, or other entries, took its place."""
     work = WorkSpace()
     L = PackedTriangle(pack(np.asfortranarray(spd(4, 3))), 4)
     other = PackedTriangle(L.entries.copy(), 4)
@@ -74,12 +76,12 @@ def test_work_space_unpacks_the_same_triangle_once():
     equal(np.tril(work.unpack(L)), np.tril(spd(4, 3)))
 
 
-def test_dense_factors():
+def test_dense_factorisation_is_chosen_by_definiteness():
     """Cholesky for definite blocks, Bunch and Kaufman's factor for indefinite ones."""
     work = WorkSpace()
-    definite = packed(spd(8, 4), work)
-    indefinite = packed(np.diag([-1.0, *np.ones(7)]), work)
-    empty = packed(np.zeros((0, 0)), work)
+    definite = create_packed(spd(8, 4), work)
+    indefinite = create_packed(np.diag([-1.0, *np.ones(7)]), work)
+    empty = create_packed(np.zeros((0, 0)), work)
     R = np.zeros((8, 0))
     agree(isinstance(create.factor_dense(definite, R, 1.0), CholeskyFactor))
     agree(isinstance(create.factor_dense(indefinite, R, 1.0), BunchKaufmanFactor))
@@ -91,21 +93,24 @@ def test_dense_factors():
     agree(isinstance(create.factor_dense_for_preconditioner(empty, R[:0], 1.0), EmptyFactor))
 
 
-def test_definite_in_double_precision_only():
-    """A pivot that is negative in single precision: the factor is in double precision."""
-    S = packed(np.array([[1.0, 1.0], [1.0, 1.0 + 1e-9]]), WorkSpace())
+def test_double_precision_is_used_if_single_loses_definiteness():
+    """A pivot is negative in single precision only."""
+    S = create_packed(np.array([[1.0, 1.0], [1.0, 1.0 + 1e-9]]), WorkSpace())
     R = np.zeros((2, 0))
     agree(factor_cholesky_in_single_precision(S, R, 1.0) is None)
     agree(isinstance(create.factor_dense_for_preconditioner(S, R, 1.0), CholeskyFactor))
 
 
 @pytest.mark.parametrize("option", ["package", "pc_type"])
-def test_options_that_name_a_solver_turn_the_multifrontal_method_off(option):
+def test_options_that_name_a_solver_disable_the_multifrontal_method(option):
+    """The user's choice is used for all factorisations."""
     agree(create.multifrontal_code(DirectOptions("create_"), COMM) is not None)
     agree(create.multifrontal_code(DirectOptions("create_", **{option: "petsc"}), COMM) is None)
 
 
 def test_mumps_factors_with_a_warning_if_the_code_cannot_be_compiled(monkeypatch, caplog):
+    """The warning has the reason, and only the first process logs it."""
+
     def load(_comm):
         raise RuntimeError("multifrontal.c cannot be compiled (no compiler)")
 
