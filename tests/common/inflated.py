@@ -27,8 +27,8 @@ OUTER = 1.1
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
-    """A body with its unknowns; ``ds(i + 1)`` is the surface of the i-th marker of :func:`body`."""
+class RubberBody:
+    """A body with its unknowns; ``ds(i + 1)`` is the surface that marker i selects."""
 
     u: dolfinx.fem.Function
     p: dolfinx.fem.Function  #: Pressure in each cell, to be condensed
@@ -51,7 +51,7 @@ class Body:
         )
 
 
-def body(
+def create_rubber_body(
     mesh: dolfinx.mesh.Mesh,
     planes: list[tuple[int, float]],
     surfaces: list[Callable[[Array], npt.NDArray[np.bool_]]],
@@ -59,7 +59,7 @@ def body(
     stiffness: float = 1.0,
     kappa: float = 1e4,
     pressure: tuple[str, int] = ("DG", 0),
-) -> Body:
+) -> RubberBody:
     """Return a neo-Hookean body.
 
     Args:
@@ -82,15 +82,15 @@ def body(
     J = kinematics.jacobian(F)
     psi = materials.neo_hookean(C, c=stiffness, J=J)
     psi += materials.perturbed_lagrangian(J, p, kappa * stiffness)
-    return Body(u, p, bcs, tagged(mesh, *surfaces), psi * ufl.dx)
+    return RubberBody(u, p, bcs, tagged(mesh, *surfaces), psi * ufl.dx)
 
 
 def balloon(
     divisions: int = 4, *, unit: float = 1.0, stiffness: float = 1.0, kappa: float = 1e4
-) -> Body:
+) -> RubberBody:
     """Return an octant of a hollow sphere, its inner surface with the tag 1."""
     mesh = create_octant(COMM, divisions, 1, INNER * unit, OUTER * unit)
-    return body(
+    return create_rubber_body(
         mesh,
         [(0, 0.0), (1, 0.0), (2, 0.0)],
         [lambda x: np.isclose(np.linalg.norm(x, axis=0), INNER * unit)],
@@ -105,14 +105,14 @@ def balloon_pressure(stretch: float) -> float:
     return float(np.subtract(*(2.0 / λ + 0.5 / λ**4 for λ in (outside, stretch))))
 
 
-def balloon_cavity(ball: Body, stretch: float = 1.0) -> Cavity:
+def balloon_cavity(ball: RubberBody, stretch: float = 1.0) -> Cavity:
     """Return the cavity of a balloon; its volume is that at a stretch of the inner radius."""
     cavity = Cavity(ball.u, ball.ds(1), volume=1.0)
     cavity.volume.value = cavity.present_volume() * stretch**3
     return cavity
 
 
-def tube(cells: tuple[int, int] = (3, 6), *, stiffness: float = 1.0) -> Body:
+def thick_tube(cells: tuple[int, int] = (3, 6), *, stiffness: float = 1.0) -> RubberBody:
     """Return a quarter of a slice of a thick tube in plane strain, Q2–P1d, with the lumen's tag 1.
 
     Its radii are 1 and 1.5, its length is 0.2; its energy is that of a neo-Hookean material with
@@ -130,7 +130,7 @@ def tube(cells: tuple[int, int] = (3, 6), *, stiffness: float = 1.0) -> Body:
     planes = [(0, 0.0), (1, 0.0), (2, 0.0), (2, 0.2)]
     lumen = [lambda x: np.isclose(np.hypot(x[0], x[1]), 1.0)]
     mesh = create_curved_mesh(box, round_the_axis)
-    return body(mesh, planes, lumen, stiffness=stiffness, pressure=("DPC", 1))
+    return create_rubber_body(mesh, planes, lumen, stiffness=stiffness, pressure=("DPC", 1))
 
 
 def tube_volume(inner: float) -> float:

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What fails on one process fails on all."""
+"""An error on one process is an error on all processes."""
 
 from __future__ import annotations
 
@@ -28,18 +28,20 @@ from dolfinx_feti.runtime.collective import (
 )
 
 
-def test_sums_leave_the_process_its_own():
+def test_sums_leave_their_argument_unchanged():
+    """An array of columns keeps its shape and layout."""
     own = np.arange(6.0).reshape(2, 3).T * (COMM.rank + 1)
     before = own.copy()
     ranks = sum(range(1, COMM.size + 1))
-    found = total_of(own, COMM)
-    agree(found.shape == (3, 2))
+    total = total_of(own, COMM)
+    agree(total.shape == (3, 2))
     equal(own, before)
-    equal(found, np.arange(6.0).reshape(2, 3).T * ranks, 1e-15)
+    equal(total, np.arange(6.0).reshape(2, 3).T * ranks, 1e-15)
     agree(total_of(COMM.rank + 1.0, COMM) == ranks)
 
 
-def test_all_have_the_result_of_the_first_or_their_own():
+def test_on_root_shares_one_result_and_on_all_keeps_each():
+    """Only the first process works in on_root."""
     ranks: list[int] = []
     agree(on_root(lambda: (ranks.append(COMM.rank), "done")[1], COMM) == "done")
     agree(ranks == ([0] if COMM.rank == 0 else []))
@@ -64,8 +66,8 @@ class StubbornError(Exception):
         (on_all, True, ValueError(f"on process {COMM.rank}")),
     ],
 )
-def test_one_that_fails_is_enough(together, fails, error):
-    """Its error is raised on all, if it can be sent; one's own goes before those of others."""
+def test_error_on_one_process_is_raised_on_all(together, fails, error):
+    """It is the same error if it can be sent; a process with its own error raises that one."""
 
     def work() -> None:
         if fails:
@@ -76,7 +78,8 @@ def test_one_that_fails_is_enough(together, fails, error):
         together(work, COMM)
 
 
-def test_result_that_cannot_be_sent():
+def test_result_that_cannot_be_sent_is_an_error():
+    """All processes raise, and none waits."""
     with raises(Exception, "lambda"):
         on_root(lambda: lambda: None, COMM)
 
@@ -94,6 +97,7 @@ def test_deferred_errors_are_nan_until_they_are_raised():
 
 
 def fail(message: str) -> None:
+    """Raise a ValueError."""
     raise ValueError(message)
 
 
@@ -106,19 +110,21 @@ def test_deferred_errors_belong_to_their_object():
     errors.raise_first()
 
 
-def test_former_names_work():
+def test_both_names_of_a_function_work():
+    """Demos and scripts use the second one."""
     agree(on_first is on_root and reason is error_message)
 
 
-def test_a_warning_is_logged_once(caplog):
+def test_warning_is_logged_by_the_first_process(caplog):
+    """Others do not repeat it."""
     warn("too thin", COMM)
     expected = ["too thin"] if COMM.rank == 0 else []
     agree([record.message for record in caplog.records] == expected)
 
 
 @pytest.mark.parametrize("do", [on_all, on_root])
-def test_error_leaves_no_circle(without_collector, do):
-    """What the work has made is freed as soon as the error is, without the collector."""
+def test_error_leaves_no_reference_cycle(without_collector, do):
+    """Objects of the failed work are freed with the error, without the collector."""
 
     class Made:
         pass
@@ -135,14 +141,15 @@ def test_error_leaves_no_circle(without_collector, do):
     agree(all(ref() is None for ref in watched))
 
 
-def test_reason_is_one_line_and_never_empty():
+def test_error_message_is_one_line_and_never_empty():
+    """An error without a message has the name of its class."""
     agree(error_message(ValueError("two\n  lines")) == "two lines")
     agree(error_message(AssertionError()) == "AssertionError")
     agree(error_message(OSError(errno.EACCES, "Permission denied", "file")) == "Permission denied")
 
 
 @pytest.mark.parametrize("dtype", [float, int])
-def test_allgather_rows(dtype):
+def test_allgather_rows_joins_the_rows_of_all_processes(dtype):
     """Processes without rows are left out; there may be no rows at all."""
     own = np.full((COMM.rank, 2), COMM.rank, dtype=dtype)
     gathered = allgather_rows(own if COMM.rank else [], COMM)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""C code that is compiled at first use, and functions of PETSc that petsc4py does not wrap."""
+"""C code is compiled at first use and cached; functions of PETSc are called that petsc4py lacks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from dolfinx_feti.runtime.petsc_library import c_function, csr_of
 
 
 @pytest.fixture
-def write(tmp_path, monkeypatch) -> Callable[[str, str], Path]:
+def write_source(tmp_path, monkeypatch) -> Callable[[str, str], Path]:
     """Write a source on the first process, into a folder that holds the cache, too."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
@@ -39,9 +39,9 @@ def write(tmp_path, monkeypatch) -> Callable[[str, str], Path]:
     return once
 
 
-def test_compiled_once_and_kept(write, monkeypatch):
-    """The first process compiles; a second call finds what is loaded, another run the file."""
-    source = write("twice.c", "void twice(int n, double *x) { for (; n--;) x[n] *= 2.0; }")
+def test_code_is_compiled_once_and_cached(write_source, monkeypatch):
+    """A second call returns the loaded module, and another run loads the file."""
+    source = write_source("twice.c", "void twice(int n, double *x) { for (; n--;) x[n] *= 2.0; }")
     module = native.load(source, "void twice(int, double *);", COMM)
     x = np.arange(3.0)
     module.lib.twice(3, native.pointer(module, x))
@@ -59,18 +59,18 @@ def test_compiled_once_and_kept(write, monkeypatch):
     equal(x, [0.0, 4.0, 8.0])
 
 
-def test_flags_are_part_of_the_name(write, monkeypatch):
+def test_compiler_flags_are_part_of_the_file_name(write_source, monkeypatch):
     """Code with further flags is another file, and they reach the compiler."""
-    source = write("number.c", "int number(void) { return NUMBER; }")
+    source = write_source("number.c", "int number(void) { return NUMBER; }")
     for number in (4, 7):
         monkeypatch.setenv("DOLFINX_FETI_CFLAGS", f"-g0 '-DNUMBER={number}'")
         agree(native.load(source, "int number(void);", COMM).lib.number() == number)
     agree(len(list((source.parent / "dolfinx_feti").iterdir())) == 2)
 
 
-def test_code_that_does_not_compile(write, monkeypatch):
-    """One error with the remedy, on all processes; also without a compiler."""
-    source = write("wrong.c", "void wrong(int n) { no C; }")
+def test_failed_compilation_is_one_error_with_a_remedy(write_source, monkeypatch):
+    """All processes raise it, also without a compiler."""
+    source = write_source("wrong.c", "void wrong(int n) { no C; }")
     with raises(RuntimeError, r"wrong\.c cannot be compiled \(.*CompileError.*XDG_CACHE_HOME"):
         native.load(source, "void wrong(int);", COMM)
 
@@ -97,13 +97,14 @@ def test_arrays_of_another_layout_are_refused():
     "dtype", ["c16", "u4", "i2", "?", ">f8"], ids=["complex", "unsigned", "short", "bool", "order"]
 )
 def test_arrays_of_another_type_are_refused(dtype):
+    """The code would read their bytes as other numbers."""
     module = native.load(condensation.SOURCE, condensation.DECLARATIONS, COMM)
     with raises(ValueError, "give float32, float64, int32 or int64"):
         native.pointer(module, np.zeros(3, dtype=dtype))
 
 
-def test_communicators_of_some_processes():
-    """What one process has loaded alone does not keep it from waiting for the others."""
+def test_code_that_one_process_has_loaded_is_still_loaded_together():
+    """That process waits for the others like any other one."""
     source = condensation.SOURCE
     declarations = condensation.DECLARATIONS
     flags = ("-O3", "-DANOTHER")
@@ -113,9 +114,9 @@ def test_communicators_of_some_processes():
 
 
 @pytest.mark.parametrize("busy", [False, True])
-def test_folder_that_cannot_be_written(busy, write, monkeypatch):
-    """The first process compiles for this run, perhaps in a folder with files that are in use."""
-    source = write("half.c", "int half(int n) { return n / 2; }")
+def test_unwritable_cache_is_replaced_for_the_run(busy, write_source, monkeypatch):
+    """The first process compiles, perhaps in a folder with files that are in use."""
+    source = write_source("half.c", "int half(int n) { return n / 2; }")
     monkeypatch.setenv("XDG_CACHE_HOME", str(source))
     if busy:
         monkeypatch.setattr(os, "rmdir", lambda *_, **__: os.listdir(source))  # an OSError
@@ -126,29 +127,29 @@ def test_folder_that_cannot_be_written(busy, write, monkeypatch):
     agree(again is module)
 
 
-def test_cache_of_another_processor(write, monkeypatch):
-    """Its code has another name."""
-    source = write("one.c", "int one(void) { return 1; }")
+def test_code_for_another_processor_has_another_name(write_source, monkeypatch):
+    """Nodes of a cluster with different processors may share a cache."""
+    source = write_source("one.c", "int one(void) { return 1; }")
     folder = source.parent / "kept"
     for text in ("model name: A\nflags: avx2", "model name: B\nflags: avx512f"):
         with monkeypatch.context() as patch:
-            patch.setattr(native.Path, "read_text", reading(text))
+            patch.setattr(native.Path, "read_text", read_text_with(text))
             flags = native.processor_flags()
         if COMM.rank == 0 and flags:
             native.load(source, "int one(void);", MPI.COMM_SELF, flags=flags, cache=folder)
-    kept = COMM.bcast(sorted(p.name for p in folder.glob("one_*")))
-    agree(len(kept) == (2 if native.platform.machine() in native.MACHINES else 0))
+    cached = COMM.bcast(sorted(p.name for p in folder.glob("one_*")))
+    agree(len(cached) == (2 if native.platform.machine() in native.MACHINES else 0))
 
 
-def reading(text: str):
+def read_text_with(text: str):
     """A ``read_text`` of /proc/cpuinfo on another machine."""
     read = Path.read_text
     return lambda path, **how: text if path == Path("/proc/cpuinfo") else read(path, **how)
 
 
 @pytest.mark.serial
-def test_two_jobs_at_once(tmp_path):
-    """Both compile the same code, and both load a whole file."""
+def test_concurrent_jobs_load_complete_files(tmp_path):
+    """Both compile the same code into one cache."""
     source = tmp_path / "three.c"
     source.write_text("int three(void) { return 3; }", encoding="utf-8")
     program = f"""
@@ -169,29 +170,29 @@ assert code.lib.three() == 3
     assert len(list((tmp_path / "dolfinx_feti").iterdir())) == 1
 
 
-def test_long_compilations_are_told(write, monkeypatch, caplog):
-    """On the first process, with what is compiled and where it is kept; short ones are not."""
-    source = write("slow.c", "int slow(void) { return 5; }")
+def test_long_compilations_are_logged(write_source, monkeypatch, caplog):
+    """The first process logs the file and the cache; short compilations are not logged."""
+    source = write_source("slow.c", "int slow(void) { return 5; }")
     folder = source.parent / "kept"
     compiled = native.cffi.FFI.compile
 
-    def slowly(*arguments, **options):
+    def compile_slowly(*arguments, **options):
         time.sleep(0.3)
         return compiled(*arguments, **options)
 
-    monkeypatch.setattr(native.cffi.FFI, "compile", slowly)
-    for patience, lines in ((60.0, 0), (0.1, 1)):
-        monkeypatch.setattr(native, "LOG_AFTER", patience)
+    monkeypatch.setattr(native.cffi.FFI, "compile", compile_slowly)
+    for log_after, lines in ((60.0, 0), (0.1, 1)):
+        monkeypatch.setattr(native, "LOG_AFTER", log_after)
         monkeypatch.setattr(native.logger, "disabled", False)
         caplog.clear()
-        flags = (f"-DPATIENCE={patience}",)
+        flags = (f"-DPATIENCE={log_after}",)
         native.load(source, "int slow(void);", COMM, flags=flags, cache=folder)
         announced = [m for m in caplog.messages if "slow.c" in m and str(folder) in m]
         agree(len(announced) == (lines if COMM.rank == 0 else 0), caplog.messages)
 
 
-def test_addresses_of_blas_and_lapack():
-    """A function found by name does what it should."""
+def test_address_of_a_blas_function_can_be_called():
+    """dnrm2 of (3, 4) is 5."""
     kind = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
     dnrm2 = kind(native.address_of("dnrm2"))
     x = np.array([3.0, 4.0])
@@ -202,8 +203,8 @@ def test_addresses_of_blas_and_lapack():
 
 
 @pytest.mark.parametrize("copied", [False, True])
-def test_rows_of_a_matrix(copied, monkeypatch):
-    """The arrays are the matrix's own, or copies where the library lacks the functions."""
+def test_csr_of_returns_the_arrays_of_a_matrix(copied, monkeypatch):
+    """They are the matrix's own, or copies if the library lacks the functions."""
     if copied:
         monkeypatch.setattr(petsc_library, "c_function", lambda *_: None)
     csr = ([0, 2, 3, 4], [0, 2, 1, 2], [1.0, 7.0, 2.0, 3.0])
@@ -220,7 +221,8 @@ def test_rows_of_a_matrix(copied, monkeypatch):
 
 
 @pytest.mark.parametrize("n", [0, 2])
-def test_rows_without_entries(n):
+def test_csr_of_a_matrix_without_entries_is_empty(n):
+    """The row pointers are zero."""
     K = PETSc.Mat().createAIJ((n, n), nnz=0, comm=PETSc.COMM_SELF)
     K.assemble()
     with csr_of(K) as rows:
@@ -229,8 +231,8 @@ def test_rows_without_entries(n):
     K.destroy()
 
 
-def test_what_is_not_there():
-    """Rows of a matrix of another type, and a function."""
+def test_csr_of_refuses_other_matrix_types_and_missing_functions_are_none():
+    """Only a SeqAIJ matrix has such arrays."""
     K = PETSc.Mat().createDense((2, 2), comm=PETSc.COMM_SELF)
     K.setUp()
     K.assemble()

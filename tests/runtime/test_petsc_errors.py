@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Garbage and errors of Python code that PETSc calls: neither is kept, nor lost."""
+"""Python code that PETSc calls: its garbage is collected, and its errors reach the caller."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from dolfinx_feti import NonlinearProblem
 CYCLES = 500
 
 #: Calls after which no cycle may be alive any more.
-LIFE = 6
+MAX_CALLS_ALIVE = 6
 
 
 class Node:
@@ -66,20 +66,20 @@ def eager_collector() -> Iterator[None]:
     gc.set_threshold(*before)
 
 
-def linear(*options: str) -> Callable[[Monitor], Callable[[], object]]:
-    """A linear problem with options, and the monitor on its KSP."""
+def create_linear(*options: str) -> Callable[[Monitor], Callable[[], object]]:
+    """Return a function that creates a linear problem with a monitor and returns its ``solve``."""
 
     def create(monitor: Monitor) -> Callable[[], object]:
-        given = dict(option.split() for option in options)
-        problem = torn(poisson(cube(2, 8)), 8, ksp_rtol=1e-12, **given)
+        settings = dict(option.split() for option in options)
+        problem = torn(poisson(cube(2, 8)), 8, ksp_rtol=1e-12, **settings)
         problem.solver.setMonitor(monitor)
         return problem.solve
 
     return create
 
 
-def nonlinear(solver: str) -> Callable[[Monitor], Callable[[], object]]:
-    """A nonlinear problem of some eight Newton steps, and the monitor on its SNES or KSP."""
+def create_nonlinear(solver: str) -> Callable[[Monitor], Callable[[], object]]:
+    """Return the same for a problem of some eight Newton steps; SNES or KSP has the monitor."""
 
     def create(monitor: Monitor) -> Callable[[], object]:
         V = dolfinx.fem.functionspace(cube(2, 8), ("Lagrange", 1))
@@ -97,24 +97,26 @@ def nonlinear(solver: str) -> Callable[[Monitor], Callable[[], object]]:
 SOLVERS = pytest.mark.parametrize(
     "create",
     [
-        pytest.param(linear("feti_formulation primal"), id="primal"),
-        pytest.param(linear("feti_formulation dual"), id="dual"),
-        pytest.param(linear("feti_formulation dual", "feti_dual_ksp_rtol 1e-10"), id="own-test"),
-        pytest.param(linear("feti_dual_ksp_type gmres"), id="gmres"),
-        pytest.param(nonlinear("SNES"), id="SNES"),
-        pytest.param(nonlinear("KSP"), id="KSP-of-SNES"),
+        pytest.param(create_linear("feti_formulation primal"), id="primal"),
+        pytest.param(create_linear("feti_formulation dual"), id="dual"),
+        pytest.param(
+            create_linear("feti_formulation dual", "feti_dual_ksp_rtol 1e-10"), id="own-test"
+        ),
+        pytest.param(create_linear("feti_dual_ksp_type gmres"), id="gmres"),
+        pytest.param(create_nonlinear("SNES"), id="SNES"),
+        pytest.param(create_nonlinear("KSP"), id="KSP-of-SNES"),
     ],
 )
 
 
 @SOLVERS
 def test_garbage_is_collected_during_a_solve(create):
-    """The collector paused for the whole solve once, so that nothing of this was freed."""
+    """Cycles that a monitor leaves are freed while the solve goes on."""
     monitor = Monitor()
     create(monitor)()
-    agree(monitor.calls > LIFE, f"{monitor.calls} calls show nothing")
+    agree(monitor.calls > MAX_CALLS_ALIVE, f"{monitor.calls} calls show nothing")
     agree(
-        monitor.most <= LIFE * CYCLES,
+        monitor.most <= MAX_CALLS_ALIVE * CYCLES,
         f"{monitor.most} of {monitor.calls * CYCLES} cycles were alive at a time",
     )
     assert gc.isenabled()
@@ -123,7 +125,8 @@ def test_garbage_is_collected_during_a_solve(create):
 @SOLVERS
 @pytest.mark.parametrize("call", [1, 3])
 @pytest.mark.usefixtures("eager_collector")
-def test_an_error_survives_the_collector(create, call):
+def test_error_of_a_monitor_survives_garbage_collection(create, call):
+    """The exception is raised by the solve, although the collector runs at each allocation."""
     solve = create(Monitor(fails_at=call))
     with raises(ZeroDivisionError, "in the monitor"):
         solve()
@@ -132,7 +135,8 @@ def test_an_error_survives_the_collector(create, call):
 
 @SOLVERS
 @pytest.mark.usefixtures("without_collector")
-def test_a_collector_that_a_user_has_disabled_stays_so(create):
+def test_disabled_collector_stays_disabled(create):
+    """A user may have disabled it for reasons of speed."""
     monitor = Monitor()
     create(monitor)()
     agree(

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Values without a meaning, and arguments of a wrong type, refused by their names in all rooms."""
+"""Wrong values and types of public arguments are refused by the name of the argument."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import wrong_values
+from cases import each, wrong_values
 
 import ufl
 
@@ -58,7 +58,7 @@ GUCCIONE = dict.fromkeys(("c", "b_f", "b_t", "b_fs"), 1.0)
 #: A call, the arguments that are right, and the wrong values of some.
 Row = tuple[Callable[..., object], dict[str, object], dict[str, tuple[object, ...]]]
 
-TABLE: list[Row] = [
+WRONG_VALUES: list[Row] = [
     (
         LayerMaterial,
         HGO,
@@ -203,31 +203,51 @@ TABLE: list[Row] = [
 ]
 
 
-@wrong_values(TABLE)
-def test_refused_with_its_name(call, right, name, wrong):
+@wrong_values(WRONG_VALUES)
+def test_wrong_values_are_refused_by_name(call, right, name, wrong):
+    """One argument at a time is wrong; all others are right."""
     with pytest.raises((ValueError, TypeError), match=rf"\b{name}\b"):
         call(**{**right, name: wrong})
 
 
-def test_what_has_no_effect_in_a_case():
-    """A rate belongs to dashpots, a stretch to an axis, a pressure to a surface."""
-    with pytest.raises(ValueError, match=r"pressure=100\.0: has no effect without a surface"):
-        case(conditions={"lumen": (Spring(1.0),)})
-    dashpot = {"outer": (Dashpot(0.1),)}
-    with pytest.raises(ValueError, match="rate is missing: dashpots need"):
-        case(conditions=dashpot)
-    assert case(conditions=dashpot, rate=10.0).rate == 10.0
+DASHPOT = {"outer": (Dashpot(0.1),)}
+
+#: Arguments that need others, or exclude them, and the message.
+UNFIT = {
+    "pressure without a surface": (
+        lambda: case(conditions={"lumen": (Spring(1.0),)}),
+        r"pressure=100\.0: has no effect without a surface",
+    ),
+    "dashpot without a rate": (lambda: case(conditions=DASHPOT), "rate is missing: dashpots need"),
+    "empty filling": (Filling, "give a volume or a windkessel"),
+    "two fillings": (
+        lambda: Filling(volume=1.0, windkessel={"resistance": 1.0, "compliance": 1.0}),
+        "give a volume or a windkessel",
+    ),
+    "windkessel without compliance": (
+        lambda: vessels(resistance=1.0),
+        r"windkessel=.*: give a resistance, a compliance",
+    ),
+}
+
+
+@each(("create", "message"), UNFIT)
+def test_arguments_that_need_or_exclude_others_are_refused(create, message):
+    """Each value is right by itself."""
+    with pytest.raises(ValueError, match=message):
+        create()
+
+
+def test_arguments_that_fit_each_other_are_accepted():
+    """A rate belongs to dashpots, and a stretch to an axis."""
+    assert case(conditions=DASHPOT, rate=10.0).rate == 10.0
     assert case(axis="x", stretch=1.2).stretch == 1.2
-    for both in ({}, {"volume": 1.0, "windkessel": {"resistance": 1.0, "compliance": 1.0}}):
-        with pytest.raises(ValueError, match="give a volume or a windkessel"):
-            Filling(**both)
-    with pytest.raises(ValueError, match=r"windkessel=.*: give a resistance, a compliance"):
-        vessels(resistance=1.0)
     assert np.isfinite(LayerMaterial(3.0).k2)
 
 
 @pytest.mark.parametrize("wrong", ["3 kPa", True, None])
-def test_stiffness_of_a_layer_is_a_number(wrong):
+def test_stiffness_of_a_layer_must_be_a_number(wrong):
+    """A text with a unit belongs to a file, and True is no number here."""
     with pytest.raises(TypeError, match=f"c (is|=) {wrong!r}: "):
         LayerMaterial(wrong)
 
@@ -252,7 +272,8 @@ ROOMS = [
         (partial(require_sequence, str), []),
     ],
 )
-def test_right_types(check, value):
+def test_right_types_are_accepted(check, value):
+    """Numbers of NumPy count as numbers, and arrays as sequences."""
     check(x=value)
 
 
@@ -273,7 +294,8 @@ def test_right_types(check, value):
         (partial(require_sequence, Real), ufl.as_vector((1.0, 2.0)), "x is ListTensor"),
     ],
 )
-def test_wrong_types(check, value, message):
+def test_wrong_types_are_refused_with_the_right_one(check, value, message):
+    """The message has the value and the type that is expected."""
     with pytest.raises(TypeError, match=message):
         check(x=value)
 
@@ -291,16 +313,17 @@ def test_wrong_types(check, value, message):
         ("material", lambda: workshop.respond(abs, workshop.uniaxial([1.0]))),
     ],
 )
-def test_public_functions(name, call):
+def test_public_functions_refuse_wrong_types_by_name(name, call):
+    """The error comes from the function that was called, not from deep inside."""
     with pytest.raises(TypeError, match=f"^{name} is "):
         call()
 
 
 @pytest.mark.parametrize("room", ROOMS, ids=lambda room: room.__name__)
-def test_rooms(room):
-    """What a room exports is the function or class of the file that defines it, and pickles."""
+def test_exports_of_rooms_are_those_of_their_modules(room):
+    """A room exports the functions and classes of its files, which can be pickled."""
     for name in room.__all__:
-        thing = getattr(room, name)
-        if callable(thing):
-            assert getattr(sys.modules[thing.__module__], name) is thing, name
-            assert pickle.loads(pickle.dumps(thing)) is thing, name
+        member = getattr(room, name)
+        if callable(member):
+            assert getattr(sys.modules[member.__module__], name) is member, name
+            assert pickle.loads(pickle.dumps(member)) is member, name

@@ -1,14 +1,14 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Values without a meaning, each refused with its name on all processes, before a solve."""
+"""Wrong arguments of scalar unknowns are refused by name on all processes, before a solve."""
 
 from __future__ import annotations
 
 import numpy as np
 from cases import each, wrong_values
 from collective import COMM, raises
-from inflated import balloon, balloon_cavity, tube
+from inflated import balloon, balloon_cavity, thick_tube
 from problems import cube, elasticity, poisson
 
 import dolfinx
@@ -40,7 +40,7 @@ DX = ufl.Measure("dx", MESH)
 C = U[0] * ufl.Measure("dx", MESH)
 
 #: A call, the arguments that are right, and the wrong values of some.
-TABLE = [
+WRONG_ARGUMENTS = [
     (
         Cavity,
         {"u": U, "ds": DS},
@@ -84,31 +84,33 @@ TABLE = [
 ]
 
 
-@wrong_values(TABLE)
-def test_refused_with_its_name(call, right, name, wrong):
+@wrong_values(WRONG_ARGUMENTS)
+def test_wrong_arguments_are_refused_by_name(call, right, name, wrong):
+    """A wrong type is a TypeError if it is a text, and any other value a ValueError."""
     with raises(TypeError if isinstance(wrong, str) else ValueError, rf"\b{name}\b"):
         call(**{**right, name: wrong})
 
 
 def vessels(cavity: Cavity) -> Windkessel:
+    """Return a Windkessel with R = C = 1 behind a cavity."""
     return Windkessel(cavity, resistance=1.0, compliance=1.0)
 
 
-def free(ball):
+def remove_symmetry(ball):
     """Remove the condition of the rim in one plane of symmetry."""
     del ball.bcs[1]
     return [balloon_cavity(ball)]
 
 
 #: Couplings of a balloon, or of a tube, that do not fit it or each other.
-UNFIT = {
+UNFIT_COUPLINGS = {
     "alone": (balloon, balloon_cavity, "put it in a list"),
     "a number": (balloon, lambda ball: [3], r"scalars\[0\] is 3"),
     "without a volume": (balloon, lambda ball: [Cavity(ball.u, ball.ds(1))], "has no volume"),
     "of another body": (balloon, lambda ball: [balloon_cavity(BALL)], "another space"),
-    "open": (balloon, free, "open"),
-    "open ends": (tube, lambda t: [Cavity(t.u, t.ds(1), 1.0)], "open"),
-    "another axis": (tube, lambda t: [Cavity(t.u, t.ds(1), 1.0, axis=(0, 1, 0))], "open"),
+    "open": (balloon, remove_symmetry, "open"),
+    "open ends": (thick_tube, lambda t: [Cavity(t.u, t.ds(1), 1.0)], "open"),
+    "another axis": (thick_tube, lambda t: [Cavity(t.u, t.ds(1), 1.0, axis=(0, 1, 0))], "open"),
     "twice": (balloon, lambda ball: [balloon_cavity(ball), balloon_cavity(ball)], "same facets"),
     "two Windkessels": (
         balloon,
@@ -118,14 +120,15 @@ UNFIT = {
 }
 
 
-@each(("kind", "make", "message"), UNFIT)
-def test_couplings_that_do_not_fit(kind, make, message):
+@each(("kind", "make", "message"), UNFIT_COUPLINGS)
+def test_couplings_that_do_not_fit_the_problem_are_refused(kind, make, message):
+    """A cavity must be closed, belong to the body, and have its facets for itself."""
     body = kind(2) if kind is balloon else kind((2, 3))
     with raises(ValueError, message):
         body.problem(make(body))
 
 
-def means(*values):
+def mean_values(*values):
     """Return the means of the first component with these values, by multipliers on all of u."""
 
     def make(u):
@@ -145,7 +148,7 @@ def one_unknown(u):
     yield from (ScalarEquation(λ, (u[i] * ufl.dx,), λ * v[i] * ufl.dx) for i in range(2))
 
 
-def no_dof(u):
+def without_unknown(u):
     """Return an equation without an unknown in it."""
     λ = dolfinx.fem.Constant(u.function_space.mesh, 0.0)
     dx = ufl.dx(u.function_space.mesh)
@@ -153,22 +156,22 @@ def no_dof(u):
 
 
 #: Constraints of a body that nothing supports, which depend on each other or on nothing.
-DEPENDENT = {
-    "the same twice": (poisson, means(0.0, 0.0), r"equations \[0, 1\] depend on each other"),
-    "a contradiction": (poisson, means(0.0, 1.0), r"equations \[0, 1\] depend on each other"),
+DEPENDENT_CONSTRAINTS = {
+    "the same twice": (poisson, mean_values(0.0, 0.0), r"equations \[0, 1\] depend on each other"),
+    "a contradiction": (poisson, mean_values(0.0, 1.0), r"equations \[0, 1\] depend on each other"),
     "all motions twice": (
         elasticity,
         lambda u: [rigid_motions(u), mean_value(u)],
         "equations .* depend on each other",
     ),
     "one unknown": (elasticity, one_unknown, r"unknowns \[0, 1\] depend on each other"),
-    "no dof": (elasticity, no_dof, r"equations \[0\] depend neither on a free dof"),
+    "no dof": (elasticity, without_unknown, r"equations \[0\] depend neither on a free dof"),
 }
 
 
-@each(("kind", "make", "message"), DEPENDENT)
-def test_constraints_without_a_solution(kind, make, message):
-    """One error, before the first solve."""
+@each(("kind", "make", "message"), DEPENDENT_CONSTRAINTS)
+def test_dependent_constraints_are_refused(kind, make, message):
+    """There is one error, before the first solve."""
     body = kind(cube(3, 2), clamped=None)
     u = dolfinx.fem.Function(body.V)
     problem = LinearProblem(body.a, body.L, u=u, subdomains=4, scalars=list(make(u)))

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Scalar unknowns in both problems: against dense and direct solves, on real spaces, bad ones."""
+"""Scalar unknowns of both problem classes, also on real spaces, agree with other solves."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small
-from inflated import balloon, balloon_cavity, body
+from inflated import balloon, balloon_cavity, create_rubber_body
 from newton_by_hand import newton_by_hand
 from problems import cube, elasticity, left, owned, poisson
 
@@ -24,7 +24,15 @@ EXACT = {"ksp_rtol": 1e-11, "snes_rtol": 1e-11}
 
 
 def null_space_solution(free, b_form):
-    """Solve with the null space given to A, as PETSc takes it; its part is taken out of b."""
+    """Solve with the null space given to A, as PETSc takes it; its part is taken out of b.
+
+    Args:
+        free: Problem that nothing holds.
+        b_form: Linear form of its load.
+
+    Returns:
+        The linear problem, and the owned values of the solution, (N,).
+    """
     linear = LinearProblem(free.a, b_form, subdomains=6, petsc_options={"ksp_rtol": 1e-12})
     A, b = linear.linear_system()
     space = PETSc.NullSpace().create(vectors=A.getNearNullSpace().getVecs(), comm=A.comm)
@@ -36,7 +44,7 @@ def null_space_solution(free, b_form):
     return linear, x.array_r.copy()
 
 
-def twisted(V):
+def twisting_load(V):
     """Return a load without resultant and moment: opposite tractions on two faces."""
     x = ufl.SpatialCoordinate(V.mesh)
     v = ufl.TestFunction(V)
@@ -45,29 +53,29 @@ def twisted(V):
 
 
 @pytest.mark.parametrize("nonlinear", [False, True])
-def test_pure_neumann_body(nonlinear):
-    """Six mean values hold a body that nothing else holds: the solution with a null space."""
+def test_rigid_motions_hold_a_free_body(nonlinear):
+    """Six mean values give the solution with a null space, up to a rigid motion, without force."""
     free = elasticity(cube(3, 3), clamped=None)
-    L = twisted(free.V)
+    L = twisting_load(free.V)
     linear, expected = null_space_solution(free, L)
     u = dolfinx.fem.Function(free.V)
-    held = rigid_motions(u)
+    motions = rigid_motions(u)
     if nonlinear:
         a = ufl.replace(free.a, {free.a.arguments()[1]: u})
-        NonlinearProblem(a - L, u, subdomains=6, scalars=[held], petsc_options=EXACT).solve()
+        NonlinearProblem(a - L, u, subdomains=6, scalars=[motions], petsc_options=EXACT).solve()
     else:
-        LinearProblem(free.a, L, u=u, subdomains=6, scalars=[held], petsc_options=EXACT).solve()
+        LinearProblem(free.a, L, u=u, subdomains=6, scalars=[motions], petsc_options=EXACT).solve()
     w = dolfinx.fem.Function(free.V)
     w.x.array[: len(expected)] = expected
     w.x.scatter_forward()
-    rest = owned(u) - owned(w)
+    difference = owned(u) - owned(w)
     for z in linear.A.getNearNullSpace().getVecs():
-        rest -= z.array_r * COMM.allreduce(float(z.array_r @ rest))
+        difference -= z.array_r * COMM.allreduce(float(z.array_r @ difference))
     scale = np.sqrt(COMM.allreduce(float(owned(w) @ owned(w))))
-    small(np.sqrt(COMM.allreduce(float(rest @ rest))) / scale, 1e-8)
-    for c in held.equations:
+    small(np.sqrt(COMM.allreduce(float(difference @ difference))) / scale, 1e-8)
+    for c in motions.equations:
         small(abs(COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(c)))), 1e-8 * scale)
-    small(np.abs(held.unknown.value).max(), 1e-8)
+    small(np.abs(motions.unknown.value).max(), 1e-8)
 
 
 def two_blocks():
@@ -83,8 +91,8 @@ def two_blocks():
 
 @pytest.mark.parametrize("clamped", [False, True])
 @pytest.mark.parametrize("form", ["dual", "primal"])
-def test_several_floating_bodies(form, clamped):
-    """Each floats alone, perhaps beside a clamped one; a load that is not balanced is returned."""
+def test_each_floating_body_has_its_rigid_motions(form, clamped):
+    """Multipliers are the resultants of a load that is not balanced, also beside a clamped body."""
     mesh, dx = two_blocks()
     block = elasticity(mesh, clamped=left if clamped else None)
     u = dolfinx.fem.Function(block.V)
@@ -94,22 +102,22 @@ def test_several_floating_bodies(form, clamped):
     L = ufl.inner(dolfinx.fem.Constant(mesh, force), v) * dx
     for k, middle in ((1, 0.5), (2, 2.5)):
         L += (x[0] - middle) * v[0] * dx(k)  # in balance
-    held = [rigid_motions(u, dx(k)) for k in ((2,) if clamped else (1, 2))]
+    all_motions = [rigid_motions(u, dx(k)) for k in ((2,) if clamped else (1, 2))]
     LinearProblem(
         block.a,
         L,
         bcs=block.bcs,
         u=u,
         subdomains=6,
-        scalars=held,
+        scalars=all_motions,
         petsc_options=EXACT | {"feti_formulation": form},
     ).solve()
-    equal(held[-1].unknown.value[:3], force, 1e-8)
-    for motions in held:
-        missed = [dolfinx.fem.assemble_scalar(dolfinx.fem.form(c)) for c in motions.equations]
-        small(np.abs(COMM.allreduce(np.array(missed))).max(), 1e-12)
+    equal(all_motions[-1].unknown.value[:3], force, 1e-8)
+    for motions in all_motions:
+        means = [dolfinx.fem.assemble_scalar(dolfinx.fem.form(c)) for c in motions.equations]
+        small(np.abs(COMM.allreduce(np.array(means))).max(), 1e-12)
     size = COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(ufl.inner(u, u) * dx(2))))
-    agree(size > 1e-8, size)
+    agree(size > 1e-8)
 
 
 def compressible(ball):
@@ -121,8 +129,8 @@ def compressible(ball):
     )
 
 
-def test_against_dolfinx():
-    """Same u and s as Newton's method with dolfinx's matrix, bordered."""
+def test_cavity_agrees_with_a_bordered_newton_solve():
+    """The other solve has the matrix of dolfinx and a dense border."""
     ball = balloon(2)
     cavity = balloon_cavity(ball, 1.1)
     energy = compressible(ball)
@@ -139,20 +147,20 @@ def test_against_dolfinx():
     small(abs(cavity.pressure.value / target.pressure.value - 1.0), 1e-8)
 
 
-def holes():
-    """A block with two cubes left out: two closed cavities."""
+def block_with_two_cavities():
+    """Return a block with two cubes left out: two closed cavities."""
     box = dolfinx.mesh.create_box(COMM, [(0.0, 0.0, 0.0), (5.0, 3.0, 3.0)], (5, 3, 3))
     centres = midpoints(box)
     inside = [np.abs(centres - c).max(axis=1) < 0.5 for c in ((1.5, 1.5, 1.5), (3.5, 1.5, 1.5))]
-    kept = np.flatnonzero(~(inside[0] | inside[1])).astype(np.int32)
-    mesh = dolfinx.mesh.create_submesh(box, 3, kept)[0]
+    cells = np.flatnonzero(~(inside[0] | inside[1])).astype(np.int32)
+    mesh = dolfinx.mesh.create_submesh(box, 3, cells)[0]
 
     def around(place):
         centre = np.array([[place], [1.5], [1.5]])
         return lambda x: np.abs(x - centre).max(axis=0) < 0.51
 
     planes = [(axis, 0.0) for axis in range(3)]
-    return body(mesh, planes, [around(1.5), around(3.5)], kappa=50.0)
+    return create_rubber_body(mesh, planes, [around(1.5), around(3.5)], kappa=50.0)
 
 
 def midpoints(mesh):
@@ -163,9 +171,9 @@ def midpoints(mesh):
 
 
 @pytest.mark.parametrize("form", ["dual", "primal"])
-def test_two_cavities_with_different_volumes(form):
-    """One grows, the other one shrinks; the same on any number of processes."""
-    block = holes()
+def test_two_cavities_have_their_volumes(form):
+    """One grows, the other one shrinks; pressures are the same on any number of processes."""
+    block = block_with_two_cavities()
     cavities = [Cavity(block.u, block.ds(i), volume=V) for i, V in ((1, 1.15), (2, 0.9))]
     small(max(abs(cavity.present_volume() - 1.0) for cavity in cavities), 1e-12)
     options = {"snes_rtol": 1e-10, "feti_formulation": form}
@@ -183,8 +191,8 @@ def times(form, factor):
     return ufl.Form([i.reconstruct(integrand=factor * i.integrand()) for i in form.integrals()])
 
 
-def test_scalars_on_a_real_space():
-    """A script for dolfinx and scifem: F in blocks, or a Lagrangian; the same as a cavity."""
+def test_scalars_on_a_real_space_agree_with_a_cavity():
+    """A script for dolfinx and scifem has F in blocks, or a Lagrangian."""
     scifem = pytest.importorskip("scifem")
     results = []
     for kind in ("cavity", "blocks", "Lagrangian"):
@@ -221,8 +229,8 @@ def test_scalars_on_a_real_space():
         small(abs(pressure / results[0][1] - 1.0), 1e-8)
 
 
-def test_pure_neumann_poisson_on_a_real_space():
-    """Scifem's example: −Δu = f with a mean value, in blocks; LinearProblem takes scalars=."""
+def test_mean_value_on_a_real_space_agrees_with_scalars():
+    """Scifem's example −Δu = f in blocks is the same as LinearProblem with ``scalars=``."""
     scifem = pytest.importorskip("scifem")
     free = poisson(cube(2, 8), clamped=None)
     R = scifem.create_real_functionspace(free.V.mesh)
@@ -248,16 +256,16 @@ def test_pure_neumann_poisson_on_a_real_space():
     for order in (1, -1):
         blocks = [row[::order] for row in a[::order]], L[::order]
         linear = LinearProblem(*blocks, subdomains=6, petsc_options=EXACT)
-        found = linear.solve()
-        equal(owned(found[::order][0]), owned(w), 1e-8)
-        small(abs(found[::order][1].x.array[0] - 0.3), 1e-9)
+        solution = linear.solve()
+        equal(owned(solution[::order][0]), owned(w), 1e-8)
+        small(abs(solution[::order][1].x.array[0] - 0.3), 1e-9)
     with raises(ValueError, "There are 2 unknowns: give a as 2 × 2 blocks"):
         LinearProblem(free.a, f, u=[w, s])
 
 
 @pytest.mark.parametrize("shape", [(), (2,)], ids=["scalar", "vector"])
 def test_blocks_of_the_tangent_in_scalars_are_used(shape):
-    """The force of the scalars, s + s³, comes from outside of UFL: the user's J has its derivative.
+    """The force of the scalars, s + s³, is outside of UFL: the user's J has its derivative.
 
     The steps are those with the force in F.
     """
@@ -304,8 +312,8 @@ def test_blocks_of_the_tangent_in_scalars_are_used(shape):
     agree(steps == expected_steps and steps > 2, (steps, expected_steps))
 
 
-def test_residuals_belong_to_scalars_by_their_spaces():
-    """In any order where each space occurs once; what does not fit is named."""
+def test_residuals_are_assigned_to_scalars_by_their_spaces():
+    """Any order is allowed where each space occurs once; what does not fit is named."""
     scifem = pytest.importorskip("scifem")
     mesh = cube(2, 4)
     R1, R2 = (scifem.create_real_functionspace(mesh, shape) for shape in ((), (2,)))
@@ -317,24 +325,24 @@ def test_residuals_belong_to_scalars_by_their_spaces():
     F_m = ufl.dot(u, t2)
     F_s = (x[1] * u[0] - x[0] * u[1] - 0.1) * t1
     F_u, F_m, F_s = (form * ufl.dx for form in (F_u, F_m, F_s))
-    found = []
+    solutions = []
     common = {"subdomains": 4, "petsc_options": EXACT}
     for F in ([F_u, F_m, F_s], [F_u, F_s, F_m], [F_s, F_u, F_m]):
         for f in (u, m, s):
             f.x.array[:] = 0.0
         NonlinearProblem(F, [u, m, s], **common).solve()
-        found.append(np.append(m.x.array, s.x.array))
-    agree(np.abs(found[0]).min() > 1e-3, found)
-    for other in found[1:]:
-        equal(other, found[0], 1e-8)
+        solutions.append(np.append(m.x.array, s.x.array))
+    agree(np.abs(solutions[0]).min() > 1e-3, solutions)
+    for other in solutions[1:]:
+        equal(other, solutions[0], 1e-8)
     with raises(ValueError, "0 residuals tested in the space of the scalar 'm', but 1 scalars"):
         NonlinearProblem([F_u, F_s, F_s], [u, m, s], **common)
     with raises(ValueError, "1 residuals tested in real spaces for 2 scalars: give one for each"):
         NonlinearProblem([F_u, F_m], [u, m, s], **common)
 
 
-def test_scalars_do_not_meet_condensed_fields():
-    """A cell eliminates its fields alone, so that neither equation may hold the other's unknown."""
+def test_scalars_must_not_couple_with_condensed_fields():
+    """A cell eliminates its fields alone: neither equation may contain the other's unknown."""
     octant = balloon(2)
     one = dolfinx.fem.Constant(octant.u.function_space.mesh, 0.0)
     dx = ufl.Measure("dx", octant.u.function_space.mesh)

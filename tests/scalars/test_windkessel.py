@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Windkessels: exponential decay behind rigid walls, the order in Δt, and an elastic tube."""
+"""Windkessels: exponential decay behind rigid walls, the order in Δt, an elastic tube, restarts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small
-from inflated import balloon, tube, tube_pressure, tube_volume
+from inflated import balloon, thick_tube, tube_pressure, tube_volume
 from scipy.integrate import solve_ivp
 
 from dolfinx_feti.loading import Checkpoint, Motion, Steps, TimeSteps, follow_load, follow_time
@@ -24,7 +24,18 @@ Z = 0.3
 
 
 def march(windkessel, problem, dt, count, flow):
-    """Make equal steps; return the pressure of the cavity after each."""
+    """Make equal time steps.
+
+    Args:
+        windkessel: The Windkessel.
+        problem: Problem of the wall, with the Windkessel.
+        dt: Length of a step.
+        count: Number of steps.
+        flow: Inflow as a function of time.
+
+    Returns:
+        Pressure of the cavity after each step, (count,).
+    """
     pressures = []
     for n in range(count):
         windkessel.inflow.value = flow((n + 1) * dt)
@@ -37,7 +48,7 @@ def march(windkessel, problem, dt, count, flow):
 
 @pytest.mark.parametrize("last_dt", [0.0, 0.1, 0.3], ids=["first-step", "longer", "shorter"])
 def test_rates_are_exact_for_parabolas(last_dt):
-    """BDF2 of two unequal steps; the first step has no second one, and is exact for lines."""
+    """BDF2 has two unequal steps; the first step of a run has one, and is exact for lines."""
     ball = balloon(2)
     windkessel = Windkessel(Cavity(ball.u, ball.ds(1)), resistance=R, compliance=C)
     windkessel.history.value[0] = last_dt
@@ -49,8 +60,8 @@ def test_rates_are_exact_for_parabolas(last_dt):
 
 
 @pytest.mark.parametrize(("unit", "stiffness", "second"), [(1e3, 1e-6, 1e-3), (1e-3, 1e6, 60.0)])
-def test_law_of_units(unit, stiffness, second):
-    """Pressures scale as they must, and steps not at all, for R, C and Z in the same units."""
+def test_pressures_scale_with_units_and_steps_do_not(unit, stiffness, second):
+    """R, C and Z are in the same units as the balloon."""
 
     def filled(unit, stiffness, second):
         flow = unit**3 / second
@@ -71,7 +82,7 @@ def test_law_of_units(unit, stiffness, second):
     agree(steps == others, (steps, others))
 
 
-def rigid(start, **parameters):
+def rigid_windkessel(start, **parameters):
     """Return a Windkessel behind a wall that hardly moves, and its problem."""
     ball = balloon(2, stiffness=1e9)
     cavity = Cavity(ball.u, ball.ds(1), pressure=start)
@@ -81,13 +92,13 @@ def rigid(start, **parameters):
 
 @pytest.mark.parametrize("impedance", [0.0, Z])
 @pytest.mark.parametrize("flow", [0.0, 3.0])
-def test_order_of_convergence(impedance, flow):
-    """A constant flow fills vessels that empty; half the step, a quarter of the error."""
+def test_pressure_behind_a_rigid_wall_has_second_order(impedance, flow):
+    """A constant flow fills vessels that empty; half the step gives a quarter of the error."""
     errors = []
     for count in (10, 20, 40):
         start = 10.0 if flow == 0.0 else impedance * flow
         distal = {} if flow == 0.0 else {"distal_pressure": 0.0}  # else that of the cavity
-        windkessel, problem = rigid(start, impedance=impedance, **distal)
+        windkessel, problem = rigid_windkessel(start, impedance=impedance, **distal)
         decay = np.exp(-np.arange(1, count + 1) / count)
         exact = (start - impedance * flow) * decay + flow * (R * (1.0 - decay) + impedance)
         pressures = march(windkessel, problem, 1.0 / count, count, lambda t: flow)
@@ -96,9 +107,9 @@ def test_order_of_convergence(impedance, flow):
     agree(1.7 < orders.min() and orders.max() < 2.4, (errors, orders))
 
 
-def test_thick_tube_in_plane_strain():
-    """P over V of the closed form, within 0.1 %, up to 1.5 times the radius."""
-    slice_ = tube()
+def test_thick_tube_has_the_pressure_of_its_closed_form():
+    """In plane strain, within 0.1 %, up to 1.5 times the radius."""
+    slice_ = thick_tube()
     cavity = Cavity(slice_.u, slice_.ds(1), volume=1.0, axis=(0.0, 0.0, 1.0))
     problem = slice_.problem([cavity])
     errors = []
@@ -109,15 +120,32 @@ def test_thick_tube_in_plane_strain():
     small(np.abs(errors).max(), 1e-3)
 
 
-def test_what_does_not_fit():
-    """A solve without a time step, a step of length zero, and a flow that is NaN."""
+@pytest.fixture
+def windkessel_of_balloon():
+    """Return a Windkessel and the balloon that it belongs to."""
     ball = balloon(2)
-    windkessel = Windkessel(Cavity(ball.u, ball.ds(1)), resistance=R, compliance=C)
+    return Windkessel(Cavity(ball.u, ball.ds(1)), resistance=R, compliance=C), ball
+
+
+def test_solve_needs_a_time_step(windkessel_of_balloon):
+    """Rates of the Windkessel are those of a time step."""
+    windkessel, ball = windkessel_of_balloon
     problem = ball.problem([windkessel])
     with raises(ValueError, "No time step"):
         problem.solve()
+
+
+def test_time_step_must_be_positive(windkessel_of_balloon):
+    """A step of length zero would divide by zero."""
+    windkessel, _ = windkessel_of_balloon
     with raises(ValueError, "length = 0.0: give a positive"):
         windkessel.begin_step(0.0)
+
+
+def test_inflow_must_be_finite(windkessel_of_balloon):
+    """The value is set by the user between two solves, so that the solve has to check it."""
+    windkessel, ball = windkessel_of_balloon
+    problem = ball.problem([windkessel])
     windkessel.begin_step(0.1)
     windkessel.inflow.value = np.nan
     with raises(ValueError, "inflow = nan: give a finite"):
@@ -127,31 +155,51 @@ def test_what_does_not_fit():
 DENSITY = 1e-2  # so that the first natural period of the tube is about half a second
 
 
-def pulse(t):
+def pulse_flow(t):
     """Return the flow into the tube [mm³/s]."""
     return 0.3 * np.sin(np.pi * t / 0.4) ** 2
 
 
-def beat(
-    dt, *, inertia=False, impedance=Z, targets=(0.1, 0.2), look=None, checkpoint=None, rtol=None
+def follow_beat(
+    dt,
+    *,
+    inertia=False,
+    impedance=Z,
+    targets=(0.1, 0.2),
+    after_step=None,
+    checkpoint=None,
+    rtol=None,
 ):
-    """Follow a tube through a pulse of flow; return times, pressures and volumes, and history."""
-    slice_ = tube((2, 3))
+    """Follow an elastic tube with a Windkessel through a pulse of flow.
+
+    Args:
+        dt: Length of the first step, which may be halved.
+        inertia: Whether the wall has inertia.
+        impedance: Impedance of the Windkessel [kPa s/mm³].
+        targets: Times to be met [s].
+        after_step: Called with the number of steps after each one; None for no call.
+        checkpoint: Where the run is stored, or continued from.
+        rtol: Tolerance of rough solves before a target; None for accurate ones.
+
+    Returns:
+        Time, pressure and volume after each step, (steps, 3), and the history of the Windkessel.
+    """
+    slice_ = thick_tube((2, 3))
     motion = Motion(slice_.u, DENSITY)
     if inertia:
         slice_ = replace(slice_, energy=slice_.energy + motion.inertia)
     cavity = Cavity(slice_.u, slice_.ds(1), axis=(0.0, 0.0, 1.0))
     windkessel = Windkessel(cavity, resistance=R, compliance=C, impedance=impedance)
     problem = slice_.problem([windkessel], subdomains=2, petsc_options={"snes_rtol": 1e-10})
-    seen = []
+    records = []
 
     def set_time(t):
-        windkessel.inflow.value = pulse(t)
+        windkessel.inflow.value = pulse_flow(t)
 
     def on_step(step):
-        seen.append((step.load, float(cavity.pressure.value), cavity.present_volume()))
-        if look is not None:
-            look(len(seen))
+        records.append((step.load, float(cavity.pressure.value), cavity.present_volume()))
+        if after_step is not None:
+            after_step(len(records))
 
     keywords = {"on_step": on_step, "checkpoint": checkpoint}
     if inertia:
@@ -160,13 +208,14 @@ def beat(
     else:
         steps = Steps(first=dt, least=dt / 2, growth=1.0, rtol=rtol)
         follow_load(problem, set_time, targets, steps, **keywords)
-    return np.array(seen), np.array(windkessel.history.value)
+    return np.array(records), np.array(windkessel.history.value)
 
 
 def tube_at_the_end(impedance, inertia):
-    """Return pressure and volume of a tube of an incompressible material at t = 0.2, closed form.
+    """Return pressure and volume of the tube at t = 0.2, of its differential equations.
 
-    With f = a ȧ of the inner radius a, its inertia is ρ (ḟ ln(b/a) + f²/2 (b⁻² − a⁻²)).
+    The material is incompressible. With f = a ȧ of the inner radius a, its inertia is ρ (ḟ ln(b/a)
+    + f²/2 (b⁻² − a⁻²)).
     """
     V_0 = tube_volume(1.0)
 
@@ -174,7 +223,7 @@ def tube_at_the_end(impedance, inertia):
         V, f, p_c = y
         a = np.sqrt(V / V_0)
         b = np.sqrt(1.5**2 + V / V_0 - 1.0)
-        Q = pulse(t) - 2.0 * V_0 * f
+        Q = pulse_flow(t) - 2.0 * V_0 * f
         rest = p_c + impedance * Q - tube_pressure(V) - DENSITY / 2.0 * (b**-2 - a**-2) * f**2
         return [2.0 * V_0 * f, rest / (DENSITY * np.log(b / a)), (Q - p_c / R) / C]
 
@@ -182,24 +231,24 @@ def tube_at_the_end(impedance, inertia):
         V, p_c = y
         if impedance:
             Q = (tube_pressure(V) - p_c) / impedance
-            return [pulse(t) - Q, (Q - p_c / R) / C]
+            return [pulse_flow(t) - Q, (Q - p_c / R) / C]
         slope = (tube_pressure(V + 1e-6) - tube_pressure(V - 1e-6)) / 2e-6
-        rate = (pulse(t) - tube_pressure(V) / R) / (1.0 + C * slope)
+        rate = (pulse_flow(t) - tube_pressure(V) / R) / (1.0 + C * slope)
         return [rate, slope * rate]
 
     rates, start = (moving, [V_0, 0.0, 0.0]) if inertia else (at_rest, [V_0, 0.0])
     V, *f, p_c = solve_ivp(rates, (0.0, 0.2), start, rtol=1e-10, atol=1e-13).y[:, -1]
-    p = p_c + impedance * (pulse(0.2) - 2.0 * V_0 * f[0]) if inertia else tube_pressure(V)
+    p = p_c + impedance * (pulse_flow(0.2) - 2.0 * V_0 * f[0]) if inertia else tube_pressure(V)
     return np.array([p, V])
 
 
 @pytest.mark.serial
 @pytest.mark.parametrize("impedance", [0.0, Z])
 @pytest.mark.parametrize("inertia", [False, True])
-def test_order_on_a_path(inertia, impedance):
-    """Half the step, a quarter of the error; the last one is beside the closed form."""
+def test_tube_with_a_windkessel_has_second_order(inertia, impedance):
+    """Half the step gives a quarter of the error, and the last run agrees with the closed form."""
     runs = [
-        beat(0.2 / n, inertia=inertia, impedance=impedance, targets=[0.2])[0][:, 1:]
+        follow_beat(0.2 / n, inertia=inertia, impedance=impedance, targets=[0.2])[0][:, 1:]
         for n in (10, 20, 40)
     ]
     errors = [np.abs(coarse - fine[1::2]).max(axis=0) for coarse, fine in itertools.pairwise(runs)]
@@ -209,50 +258,58 @@ def test_order_on_a_path(inertia, impedance):
 
 
 @pytest.mark.parametrize("inertia", [False, True])
-def test_restart_in_the_middle_of_a_beat(tmp_path, inertia):
-    """The path knows Δt and keeps the Windkessel's history; a run that was stopped goes on."""
-    whole_run, history = beat(0.02, inertia=inertia)
+def test_restarted_run_continues_the_beat(tmp_path, inertia):
+    """The checkpoint has Δt and the history of the Windkessel."""
+    expected, history = follow_beat(0.02, inertia=inertia)
 
-    def look(number):
+    def interrupt(number):
         if number == 5:
             raise InterruptedError
 
     with raises(InterruptedError, ""):
-        beat(0.02, inertia=inertia, look=look, checkpoint=Checkpoint(tmp_path, COMM))
+        follow_beat(
+            0.02, inertia=inertia, after_step=interrupt, checkpoint=Checkpoint(tmp_path, COMM)
+        )
     checkpoint = Checkpoint(tmp_path, COMM, restart=True)
-    rest, after = beat(0.02, inertia=inertia, checkpoint=checkpoint)
-    agree(len(rest) in (5, 6), len(rest))
-    small(np.abs(rest / whole_run[-len(rest) :] - 1.0).max(), 1e-10)
-    small(np.abs(after / history - 1.0).max(), 1e-10)
+    continued, continued_history = follow_beat(0.02, inertia=inertia, checkpoint=checkpoint)
+    agree(len(continued) in (5, 6), len(continued))
+    small(np.abs(continued / expected[-len(continued) :] - 1.0).max(), 1e-10)
+    small(np.abs(continued_history / history - 1.0).max(), 1e-10)
 
 
 @pytest.mark.parametrize("inertia", [False, True])
-def test_times_that_differ_by_rounding_alone(inertia):
-    """0.15 and 3 · 0.05 are one time: a step of 3e-17 s between them would spoil BDF2."""
-    expected, _ = beat(0.05, inertia=inertia, targets=[0.1, 0.15, 0.2])
-    found, _ = beat(0.05, inertia=inertia, targets=[0.1, 0.15, 3 * 0.05, 0.2])
-    agree(len(found) == len(expected), (len(found), len(expected)))
-    small(np.abs(found / expected - 1.0).max(), 1e-12)
+def test_times_that_differ_by_rounding_are_one_time(inertia):
+    """A step of 3e-17 s between 0.15 and 3 · 0.05 would spoil BDF2."""
+    expected, _ = follow_beat(0.05, inertia=inertia, targets=[0.1, 0.15, 0.2])
+    repeated, _ = follow_beat(0.05, inertia=inertia, targets=[0.1, 0.15, 3 * 0.05, 0.2])
+    agree(len(repeated) == len(expected), (len(repeated), len(expected)))
+    small(np.abs(repeated / expected - 1.0).max(), 1e-12)
 
 
-def test_restart_at_a_time_that_was_met_roughly(tmp_path):
-    """The step to it is taken again, from the history before it: as in a run without interruption.
+def test_restart_repeats_a_step_that_was_solved_roughly(tmp_path):
+    """It begins with the history before the step, as in a run without interruption.
 
     Rates of the Windkessel belong to one step: solved twice, it would fill twice.
     """
     whole = tmp_path / "whole"
     parts = tmp_path / "parts"
-    kept = Checkpoint(whole, COMM)  # so that rough solves begin alike
-    expected, history = beat(0.04, targets=[0.08, 0.2], checkpoint=kept, rtol=1e-2)
+    checkpoint_of_whole = Checkpoint(whole, COMM)  # so that rough solves begin alike
+    expected, history = follow_beat(
+        0.04, targets=[0.08, 0.2], checkpoint=checkpoint_of_whole, rtol=1e-2
+    )
 
-    def look(number):
+    def interrupt(number):
         if number == 3:
             raise InterruptedError
 
     with raises(InterruptedError, ""):
-        beat(0.04, targets=[0.2], look=look, checkpoint=Checkpoint(parts, COMM), rtol=1e-2)
+        follow_beat(
+            0.04, targets=[0.2], after_step=interrupt, checkpoint=Checkpoint(parts, COMM), rtol=1e-2
+        )
     checkpoint = Checkpoint(parts, COMM, restart=True)
-    found, after = beat(0.04, targets=[0.08, 0.2], checkpoint=checkpoint, rtol=1e-2)
-    agree(found[0, 0] == 0.08, found[:, 0])
-    small(np.abs(found / expected[-len(found) :] - 1.0).max(), 1e-7)
-    small(np.abs(after / history - 1.0).max(), 1e-7)
+    continued, continued_history = follow_beat(
+        0.04, targets=[0.08, 0.2], checkpoint=checkpoint, rtol=1e-2
+    )
+    agree(continued[0, 0] == 0.08, continued[:, 0])
+    small(np.abs(continued / expected[-len(continued) :] - 1.0).max(), 1e-7)
+    small(np.abs(continued_history / history - 1.0).max(), 1e-7)

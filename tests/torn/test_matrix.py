@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The seam: a torn matrix is the assembled operator, and what travels on it."""
+"""A torn matrix acts as the assembled operator, and carries what the solver reads."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ SEED = 60914
 
 
 @pytest.fixture
-def read(torn_grid, lifetime):
-    """Tear a brick; return it, the matrix as the solver reads it, and this process's torn dofs."""
+def create_torn(torn_grid, lifetime):
+    """Return a function that tears a brick and returns it, its ``Torn``, and the own torn dofs."""
 
     def create(*arguments, **options):
         problem = torn_grid(*arguments, **options)
@@ -38,9 +38,9 @@ def read(torn_grid, lifetime):
 @pytest.mark.parametrize(
     ("subdomains", "cells", "components"), [((3,), (4,), 1), ((2, 2), (2, 3), 2)]
 )
-def test_torn_matrix_acts_as_the_assembled_one(read, subdomains, cells, components):
-    """Its parts T, K and Tᵀ are those made by hand, for vectors and columns."""
-    problem, torn, mine = read(subdomains, cells, components=components)
+def test_torn_matrix_acts_as_the_assembled_one(create_torn, subdomains, cells, components):
+    """T, K and Tᵀ agree with those made by hand, for vectors and columns."""
+    problem, torn, own_rows = create_torn(subdomains, cells, components=components)
     rng = np.random.default_rng(SEED)
     x = rng.standard_normal(len(problem.dirichlet))
     t = rng.standard_normal(len(problem.to_global))
@@ -50,19 +50,19 @@ def test_torn_matrix_acts_as_the_assembled_one(read, subdomains, cells, componen
     equal(whole(y_vec.array_r), problem.matrix @ x, 1e-13)
     equal(dense(problem.A.convert("aij", PETSc.Mat())), problem.matrix, 1e-13)
     equal(whole(torn.tear(x_vec.array_r)), problem.T @ x)
-    equal(whole(torn.assemble(t[mine])), problem.T.T @ t, 1e-14)
+    equal(whole(torn.assemble(t[own_rows])), problem.T.T @ t, 1e-14)
     equal(whole(torn.multiplicity()), problem.T.sum(axis=0).astype(int))
     equal(whole(torn.is_dirichlet_copy), problem.dirichlet[problem.to_global])
     equal(whole(torn.is_dirichlet), problem.dirichlet)
     for columns in ((), (0,), (1,), (3,)):
         t = rng.standard_normal((len(problem.to_global), *columns))
-        equal(whole(torn.multiply(t[mine])), problem.K_torn @ t, 1e-13)
-        equal(whole(torn.multiply(t[mine], transpose=True)), problem.K_torn.T @ t, 1e-13)
+        equal(whole(torn.multiply(t[own_rows])), problem.K_torn @ t, 1e-13)
+        equal(whole(torn.multiply(t[own_rows], transpose=True)), problem.K_torn.T @ t, 1e-13)
 
 
 @pytest.mark.parametrize("wrong", [-1, 3, 10**6])
-def test_numbers_of_dofs_that_do_not_exist_are_refused(wrong, lifetime):
-    """On all processes, also if one process alone names such a number: PETSc would wait."""
+def test_dof_numbers_out_of_range_are_refused(wrong, lifetime):
+    """All processes raise, even if one alone has such a number: PETSc would wait."""
     K = lifetime.own(PETSc.Mat().createAIJ((2, 2), nnz=2, comm=PETSc.COMM_SELF))
     K.setValues([0, 1], [0, 1], [2.0, -1.0, -1.0, 2.0])
     K.assemble()
@@ -78,10 +78,10 @@ def test_numbers_of_dofs_that_do_not_exist_are_refused(wrong, lifetime):
         create_torn_matrix(K, right[:1] if last else right, size, comm=COMM)
 
 
-def test_gather_brings_copies_in_the_order_of_dofs(monkeypatch, read):
-    """Also without ``MPI._typedict``, which is private to mpi4py."""
+def test_gather_orders_copies_by_dof(monkeypatch, create_torn):
+    """It does not need ``MPI._typedict``, which is private to mpi4py."""
     monkeypatch.delattr(MPI, "_typedict", raising=False)
-    problem, torn, _ = read((2, 2), (2, 2))
+    problem, torn, _ = create_torn((2, 2), (2, 2))
     gathered = whole(torn.gather(torn.first_torn_dof + np.arange(torn.n, dtype=np.float64)))
     copies = np.split(gathered.astype(int), np.cumsum(problem.T.sum(axis=0).astype(int))[:-1])
     agree(
@@ -90,9 +90,9 @@ def test_gather_brings_copies_in_the_order_of_dofs(monkeypatch, read):
     )
 
 
-def test_subdomains_are_the_blocks(read):
-    """They and their dofs are numbered from process to process."""
-    problem, torn, _ = read((3, 2), (2, 1), components=2)
+def test_subdomains_are_numbered_from_process_to_process(create_torn):
+    """So are their dofs; each subdomain is a block of the local matrix."""
+    problem, torn, _ = create_torn((3, 2), (2, 1), components=2)
     counts = COMM.allgather(len(torn.subdomains))
     sizes = COMM.allgather(torn.n)
     equal(COMM.allreduce([len(rows) for rows in torn.subdomains]), [len(K) for K in problem.K])
@@ -103,8 +103,8 @@ def test_subdomains_are_the_blocks(read):
 
 @pytest.mark.parametrize("full", [True, False])
 @pytest.mark.parametrize("bs", [1, 2, 3])
-def test_graph_is_that_of_the_blocks(bs, full):
-    """With full blocks, and with others."""
+def test_block_graph_has_an_edge_for_each_nonzero_block(bs, full):
+    """A block counts, even if it has a single entry."""
     rng = np.random.default_rng(bs)
     blocks = scipy.sparse.random_array((30, 30), density=0.1, rng=rng)
     K = scipy.sparse.kron(blocks, np.ones((bs, bs))).tocsr()
@@ -118,15 +118,17 @@ def test_graph_is_that_of_the_blocks(bs, full):
 
 
 def test_subdomains_may_be_interleaved(lifetime):
+    """Subdomains are connected components, whatever the order of their rows."""
     csr = ([0, 2, 4, 6, 8, 9], [0, 2, 1, 3, 0, 2, 1, 3, 4], np.arange(1.0, 10.0))
     K = lifetime.own(PETSc.Mat().createAIJ((5, 5), csr=csr, comm=PETSc.COMM_SELF))
     dofs = 5 * COMM.rank + np.arange(5)
     A = lifetime.own(create_torn_matrix(K, dofs, (5, 5 * COMM.size), comm=COMM))
-    found = [rows.tolist() for rows in lifetime.own(Torn(A)).subdomains]
-    agree(found == [[0, 2], [1, 3], [4]], found)
+    subdomains = [rows.tolist() for rows in lifetime.own(Torn(A)).subdomains]
+    agree(subdomains == [[0, 2], [1, 3], [4]])
 
 
 def test_dirichlet_dofs_may_be_named_by_any_process(torn_grid, lifetime):
+    """The index set may have dofs that other processes own, and some of them twice."""
     problem = torn_grid((2, 2), (2, 2))
     dofs = np.flatnonzero(problem.dirichlet)
     named = dofs if COMM.rank == COMM.size - 1 else dofs[:1]
@@ -135,8 +137,9 @@ def test_dirichlet_dofs_may_be_named_by_any_process(torn_grid, lifetime):
     equal(whole(torn.is_dirichlet_copy), problem.dirichlet[problem.to_global])
 
 
-def test_near_kernel_is_orthonormal_and_spans_the_modes(read):
-    problem, torn, _ = read((2, 1, 1), (2, 2, 1), components=3)
+def test_near_kernel_is_orthonormal_and_spans_the_modes(create_torn):
+    """The torn near kernel has the copies of the assembled vectors."""
+    problem, torn, _ = create_torn((2, 1, 1), (2, 2, 1), components=3)
     modes = np.column_stack([whole(v.array_r) for v in problem.A.getNearNullSpace().getVecs()])
     equal(modes.T @ modes, np.eye(6), 1e-14)
     coefficients = np.linalg.lstsq(modes, problem.modes)[0]
@@ -144,28 +147,31 @@ def test_near_kernel_is_orthonormal_and_spans_the_modes(read):
     equal(whole(torn.near_kernel()), modes[problem.to_global])
 
 
-def test_near_kernel_is_needed_of_blocks_alone(read):
-    _, scalar, _ = read((3,), (2,), modes=0)
+def test_near_kernel_is_required_only_with_several_components(create_torn):
+    """With one component it is the constant."""
+    _, scalar, _ = create_torn((3,), (2,), modes=0)
     equal(scalar.near_kernel(), np.ones((scalar.n, 1)))
-    _, blocked, _ = read((2, 1), (1, 1), components=2, modes=0)
+    _, blocked, _ = create_torn((2, 1), (1, 1), components=2, modes=0)
     with raises(SetUpError, "set_near_kernel"):
         blocked.near_kernel()
 
 
-def test_stiffness_is_the_diagonal_or_what_is_attached(read, lifetime):
+def test_stiffness_is_the_diagonal_unless_it_is_attached(create_torn, lifetime):
     """Under compression a diagonal entry may be negative; a weight must not be."""
 
     def compress(K, dofs):
         np.fill_diagonal(K[0], -0.3 * K[0].diagonal())
 
-    problem, torn, mine = read((2, 2), (2, 2), change=compress, stiffness=lambda i: 10.0**i)
+    problem, torn, own_rows = create_torn(
+        (2, 2), (2, 2), change=compress, stiffness=lambda i: 10.0**i
+    )
     diagonal = np.diag(problem.K_torn)
     agree(diagonal.min() < 0.0)
-    equal(torn.diagonal(), diagonal[mine])
-    equal(torn.stiffness(), np.abs(diagonal[mine]))
+    equal(torn.diagonal(), diagonal[own_rows])
+    equal(torn.stiffness(), np.abs(diagonal[own_rows]))
     weight = 1.0 + np.arange(torn.n)
     sizes = problem.A.getSizes()[0]
-    to_global = problem.to_global[mine]
+    to_global = problem.to_global[own_rows]
     A = lifetime.own(
         create_torn_matrix(problem.local, to_global, sizes, comm=COMM, stiffness=weight)
     )
@@ -174,18 +180,18 @@ def test_stiffness_is_the_diagonal_or_what_is_attached(read, lifetime):
 
 
 @pytest.mark.parametrize("components", [1, 2, 3])
-def test_coordinates_of_the_torn_dofs(components, read):
-    """Also where the number of components is not the dimension; None if there are none."""
+def test_torn_dofs_have_the_coordinates_of_their_nodes(components, create_torn):
+    """Components need not be as many as dimensions; without coordinates there are none."""
     dim = 3 if components == 1 else components
-    problem, torn, _ = read((2,) * dim, (1,) * dim, components=components)
+    problem, torn, _ = create_torn((2,) * dim, (1,) * dim, components=components)
     equal(whole(torn.coordinates()), problem.x[problem.to_global // components])
     problem.A.compose("coordinates", None)
     agree(torn.coordinates() is None)
 
 
 @pytest.mark.parametrize("kappa", [1.0, 1e6])
-def test_skew_part_is_measured_entry_by_entry(kappa, lifetime):
-    """Relative to the diagonal of its rows: negligible relative to κ, but not rounding."""
+def test_symmetry_is_judged_entry_by_entry(kappa, lifetime):
+    """A skew entry of 1e-8 relative to the diagonal of its rows is not rounding, even beside κ."""
     rng = np.random.default_rng(SEED + 5)
     n = 30
     K = rng.standard_normal((n, n))
@@ -209,9 +215,11 @@ def test_skew_part_is_measured_entry_by_entry(kappa, lifetime):
         skew = K.copy()
         skew[i, j] += 1e-8 * np.sqrt(K[i, i] * K[j, j])
         agree(not symmetric(skew), f"entry ({i}, {j})")
-    circle = np.roll(np.eye(n), 1, axis=1)  # what a rigid motion does not feel: rows that sum to 0
+    row_sums_zero = np.roll(
+        np.eye(n), 1, axis=1
+    )  # what a rigid motion does not feel: rows that sum to 0
     roots = np.sqrt(np.outer(K.diagonal(), K.diagonal()))
-    agree(not symmetric(K + 1e-9 * (circle - circle.T) * roots))
+    agree(not symmetric(K + 1e-9 * (row_sums_zero - row_sums_zero.T) * roots))
     for units in (1.0, 1e-12, 1e12):  # an entry without counterpart, and no diagonal on either side
         saddle = units * K
         saddle[[20, 25], [20, 25]] = saddle[20, 25] = saddle[25, 20] = 0.0
@@ -225,13 +233,13 @@ def test_columns_in_any_order(lifetime):
     rows = np.array([0, 2, 4], dtype=PETSc.IntType), np.array([1, 0, 0, 1], dtype=PETSc.IntType)
     csr = (*rows, np.ones(4))
     M = lifetime.own(PETSc.Mat().createAIJWithArrays((2, 2), csr, comm=PETSc.COMM_SELF))
-    mine = np.arange(2) + 2 * COMM.rank
-    A = create_torn_matrix(M, mine, (2, 2 * COMM.size), comm=COMM)
+    own_dofs = np.arange(2) + 2 * COMM.rank
+    A = create_torn_matrix(M, own_dofs, (2, 2 * COMM.size), comm=COMM)
     agree(is_symmetric(lifetime.own(A)))
 
 
-def test_form_tells_of_symmetry(torn_grid):
-    """``symmetric=`` is trusted; without it symmetry is detected."""
+def test_declared_symmetry_is_trusted(torn_grid):
+    """Without ``symmetric=`` it is detected."""
 
     def skew(K, _dofs):
         K[-1][0, 1] += 1e-6
@@ -241,15 +249,16 @@ def test_form_tells_of_symmetry(torn_grid):
     K = problem.A.getISLocalMat()
     lgmap = problem.A.getLGMap()[0]
     sizes = problem.A.getSizes()[0]
-    for known in (True, False):
-        A = create_torn_matrix(K, lgmap.getBlockIndices(), sizes, comm=COMM, symmetric=known)
-        agree(is_symmetric(A) == known)
+    for declared in (True, False):
+        A = create_torn_matrix(K, lgmap.getBlockIndices(), sizes, comm=COMM, symmetric=declared)
+        agree(is_symmetric(A) == declared)
         K.stateIncrease()
-        agree(is_symmetric(A) == known)
+        agree(is_symmetric(A) == declared)
         A.destroy()
 
 
 def test_other_matrix_types_are_refused(lifetime):
+    """The torn matrix is a MATIS, and its local matrices are AIJ."""
     A = lifetime.own(PETSc.Mat().createAIJ((4, 4), comm=COMM))
     A.assemble()
     with raises(TypeError, "create_torn_matrix"):
@@ -261,9 +270,9 @@ def test_other_matrix_types_are_refused(lifetime):
         Torn(lifetime.own(A))
 
 
-def test_condensed_pressures_are_noted(read):
-    """They are read from the matrix, whatever object refers to it."""
-    problem, torn, _ = read((2, 2), (2, 2))
+def test_number_of_condensed_pressures_is_stored_in_the_matrix(create_torn):
+    """Any object that refers to the matrix reads the present number."""
+    problem, torn, _ = create_torn((2, 2), (2, 2))
     agree(torn.n_condensed_pressures is None)
     set_condensed_pressures(problem.A, 7 * COMM.rank)
     agree(torn.n_condensed_pressures == 7 * COMM.rank)
@@ -272,8 +281,8 @@ def test_condensed_pressures_are_noted(read):
 # -- entries of a sequential matrix that are read in place
 
 
-def test_places_of_the_diagonal():
-    """A row without a diagonal entry has none; columns may be in any order."""
+def test_diagonal_places_of_unsorted_rows():
+    """A row without a diagonal entry has place −1."""
     K = scipy.sparse.random_array((60, 60), density=0.2, rng=SEED, format="csr")
     K.setdiag(np.arange(1.0, 61.0))
     K = scipy.sparse.csr_array(K)
@@ -292,14 +301,15 @@ def test_places_of_the_diagonal():
         matrix.destroy()
 
 
-def test_rounding_of_a_product(read):
-    problem, torn, mine = read((2, 2), (3, 2), components=2)
+def test_rounding_of_a_product_is_that_of_its_terms(create_torn):
+    """Its square is estimated by ε² Σ_j K_ij² t_j²."""
+    problem, torn, own_rows = create_torn((2, 2), (3, 2), components=2)
     t = np.random.default_rng(SEED).standard_normal(len(problem.to_global))
-    found = whole(product_rounding_squares(torn.K, t[mine]))
-    equal(found / EPS**2, (problem.K_torn**2) @ t**2, 1e-13)
+    squares = whole(product_rounding_squares(torn.K, t[own_rows]))
+    equal(squares / EPS**2, (problem.K_torn**2) @ t**2, 1e-13)
 
 
-def test_matrix_that_was_destroyed():
+def test_destroyed_matrix_is_refused():
     """PETSc makes an empty one of it; the message says what has to be kept."""
     empty = PETSc.Mat().create(COMM)
     with raises(TypeError, "has no type, as after its destruction.*Keep the problem"):
