@@ -104,6 +104,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     more than three only tests that are marked with the number run.
     """
     ids = {item.nodeid: item.callspec.id for item in items if hasattr(item, "callspec")}
+    renamed = [str(path) for path in AT_MOST_TWO if not path.exists()]
+    if renamed:
+        raise pytest.UsageError(
+            f"AT_MOST_TWO in conftest.py has paths that do not exist: {renamed}"
+        )
     untypable = [node for node, name in ids.items() if not TYPABLE.fullmatch(name)]
     if untypable:
         raise pytest.UsageError(f"Give ids without blanks and quotes, by cases.each: {untypable}")
@@ -113,8 +118,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             return COMM.size in marker.args
         if item.get_closest_marker("serial"):
             return COMM.size == 1
-        few = any(path in (item.path, *item.path.parents) for path in AT_MOST_TWO)
-        return COMM.size <= (2 if few else 3)
+        needs_no_third = any(path in (item.path, *item.path.parents) for path in AT_MOST_TWO)
+        return COMM.size <= (2 if needs_no_third else 3)
 
     tried = [item for item in items if is_tried(item)]
     if COMM.size > 1:
@@ -145,13 +150,13 @@ def each_choice(items: list[pytest.Item]) -> Iterable[pytest.Item]:
 
 def values(item: pytest.Item) -> set[object]:
     """Return the values of a test's parameters; parameters of one decorator are one value."""
-    given = getattr(item, "callspec", None)
-    if given is None:
+    parameters = getattr(item, "callspec", None)
+    if parameters is None:
         return {item}
     together = [re.findall(r"\w+", str(mark.args[0])) for mark in item.iter_markers("parametrize")]
-    fixtures = given.params.keys() - {name for names in together for name in names}
+    fixtures = parameters.params.keys() - {name for names in together for name in names}
     together += [[name] for name in fixtures]
-    return {tuple((name, id(given.params[name])) for name in names) for names in together}
+    return {tuple((name, id(parameters.params[name])) for name in names) for names in together}
 
 
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
@@ -210,7 +215,7 @@ def without_collector() -> Iterator[None]:
 
 @pytest.fixture
 def torn_grid(lifetime: Lifetime) -> Callable[..., hand_torn.HandTorn]:
-    """Tear a brick by hand, see :func:`hand_torn.grid`."""
+    """Return a function that tears a brick by hand, see :func:`hand_torn.grid`."""
 
     def create(*args: Any, **options: Any) -> hand_torn.HandTorn:
         return lifetime.own(hand_torn.grid(*args, **options))
@@ -232,7 +237,7 @@ def stops_at_negative_curvature(monkeypatch: pytest.MonkeyPatch) -> None:
 def create_dual(
     read_pattern: Callable[..., Pattern], lifetime: Lifetime
 ) -> Callable[..., DualFormulation]:
-    """Build the dual form of a torn matrix, with options as keywords."""
+    """Return a function that builds the dual form of a torn matrix; options are keywords."""
 
     def create(A: PETSc.Mat, **options: object) -> DualFormulation:
         read = read_pattern(A, **options)
@@ -251,28 +256,30 @@ def double_precision_products(monkeypatch: pytest.MonkeyPatch) -> None:
 def create_primal(
     read_pattern: Callable[..., Pattern], double_precision_products: None, lifetime: Lifetime
 ) -> Callable[..., PrimalFormulation]:
-    """Build the primal form of a torn problem, see :func:`primal_form.create`."""
+    """Return a function that builds the primal form of a problem, see ``primal_form.create``."""
 
-    def create(problem: Any, more: Any = None, **options: object) -> PrimalFormulation:
-        return primal_form.create(read_pattern(problem.A, deflation=0, **options), lifetime, more)
+    def create(problem: Any, further_columns: Any = None, **options: object) -> PrimalFormulation:
+        return primal_form.create(
+            read_pattern(problem.A, deflation=0, **options), lifetime, further_columns
+        )
 
     return create
 
 
 @pytest.fixture
 def read_pattern(lifetime: Lifetime) -> Callable[..., Pattern]:
-    """Read the pattern of a torn matrix, with options as keywords."""
+    """Return a function that reads the pattern of a torn matrix; options are keywords."""
 
     def create(A: PETSc.Mat, **options: object) -> Pattern:
-        given = FETIOptions(**{"interior": "keep", **options})
-        return create_pattern(A, given, read_subsolver_options(PREFIX), lifetime)
+        settings = FETIOptions(**{"interior": "keep", **options})
+        return create_pattern(A, settings, read_subsolver_options(PREFIX), lifetime)
 
     return create
 
 
 @pytest.fixture
 def create_ksp(lifetime: Lifetime) -> Callable[..., PETSc.KSP]:
-    """Create a KSP with a FETI context for a torn matrix; options are keywords without prefix."""
+    """Return a function that creates a KSP with a FETI context; options have no prefix."""
     prefixes = (f"test{i}_" if i else PREFIX for i in itertools.count())
 
     def create(
@@ -294,7 +301,7 @@ def create_ksp(lifetime: Lifetime) -> Callable[..., PETSc.KSP]:
 
 @pytest.fixture
 def solve_linear() -> Callable[..., dolfinx_feti.LinearProblem]:
-    """Solve a problem with LinearProblem; ``options`` are PETSc options without prefix."""
+    """Return a function that solves a problem by LinearProblem; options have no prefix."""
 
     def run(
         problem: Problem, subdomains: object, options: Mapping[str, object] | None = None

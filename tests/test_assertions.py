@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A failing assertion shows on all processes what was compared, and both values."""
+"""A failing assertion shows on all processes what was compared, and the values."""
 
 from __future__ import annotations
 
@@ -86,14 +86,16 @@ CONDITIONS = {
 
 
 @pytest.mark.parametrize("name", CONDITIONS)
-def test_a_failure_shows_the_condition_and_its_operands(name):
+def test_failure_shows_the_condition_and_its_operands(name):
+    """The condition is that of the source, and each operand has its value."""
     check, expected = CONDITIONS[name]
     message = failure(check)
     missing = [part for part in expected if part not in message]
     assert not missing, message
 
 
-def test_a_failure_names_the_processes_where_the_condition_fails():
+def test_failure_names_the_processes_where_the_condition_fails():
+    """Processes where it holds fail with the same message."""
     last = COMM.size - 1
     message = failure(lambda: agree(last > COMM.rank))
     assert re.findall(r"rank (\d+): ", message) == [str(last)], message
@@ -101,16 +103,19 @@ def test_a_failure_names_the_processes_where_the_condition_fails():
 
 
 def test_operands_may_be_collective():
+    """They are evaluated again on all processes, in the same order."""
     message = failure(lambda: agree(COMM.allreduce(COMM.rank) == -1 and COMM.rank >= 0))
     assert message.count(f"COMM.allreduce(COMM.rank) = {sum(range(COMM.size))}") == COMM.size
 
 
-def test_operands_that_cannot_be_evaluated_again_say_why():
+def test_operands_that_cannot_be_evaluated_again_show_the_error():
+    """A second evaluation may fail, as that of ``values.pop()``."""
     values = [report.exact]
     assert "<raised IndexError" in failure(lambda: agree(values.pop() == 2))
 
 
-def test_local_names_of_the_caller_are_known():
+def test_operands_may_have_local_names_of_the_caller():
+    """So may the variables of a generator in the condition."""
     bound = 2
     assert "bound = 2" in failure(lambda: agree(report.exact <= bound))
     rows = np.arange(6).reshape(2, 3)
@@ -118,7 +123,8 @@ def test_local_names_of_the_caller_are_known():
     assert "k = 0" in message and "row.sum() = 3" in message, message
 
 
-def test_any_shows_the_values_that_it_looks_at():
+def test_failed_any_shows_its_names():
+    """No element is the cause, so that the values of all names are shown."""
     message = "the residual stagnates"
     text = failure(lambda: agree(any(word in message for word in ("scale", "rounding"))))
     assert "message = 'the residual stagnates'" in text, text
@@ -133,7 +139,7 @@ CHECKS_IN_LOOPS = {
 
 
 @pytest.mark.parametrize("name", CHECKS_IN_LOOPS)
-def test_a_failure_in_a_loop_shows_which_case_fails(name):
+def test_failure_in_a_loop_shows_which_case_fails(name):
     """Variables of all loops around a check are shown, those of the functions that call it too."""
 
     def check_loads(unit: str) -> None:
@@ -146,9 +152,7 @@ def test_a_failure_in_a_loop_shows_which_case_fails(name):
 
     message = failure(check_units)
     for line in ("_step = 1", "load = 2.0", "unit = 'kPa'"):
-        assert message.count(f"    {line}\n") + message.endswith(f"    {line}") == COMM.size, (
-            message
-        )
+        assert message.splitlines().count(f"    {line}") == COMM.size, message
 
 
 def test_variables_of_loops_that_have_ended_are_not_shown():
@@ -163,11 +167,14 @@ def test_variables_of_loops_that_have_ended_are_not_shown():
 
 
 def test_long_values_are_shortened():
+    """A failure stays readable; the context is printed in full."""
     text = "x" * 10_000
     assert len(failure(lambda: agree(text == ""))) < 1000 * COMM.size
 
 
-def test_another_error_is_a_failure_that_names_both():
+def test_raises_reports_another_error():
+    """The failure has the error that was raised and the one that was expected."""
+
     def check() -> None:
         with raises(ValueError, "too thin"):
             raise KeyError("too thick")
@@ -177,6 +184,7 @@ def test_another_error_is_a_failure_that_names_both():
 
 
 def test_checks_that_hold_evaluate_nothing_twice():
+    """Operands may have side effects."""
     values = [2]
     agree(values.pop() == 2)
     small(0.5, 0.5)

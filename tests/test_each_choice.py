@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Which combinations of parameters run on several processes; see ``each_choice`` in conftest.py."""
+"""On several processes a few combinations of parameters run, which have every value."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ import itertools
 import pytest
 from collective import COMM, agree
 
-TRIED: list[tuple[str, tuple[int, int]]] = []
+COMBINATIONS: list[tuple[str, tuple[int, int]]] = []
 LETTERS = "abc"
 PAIRS = [(1, 1), (1, 2), (2, 2), (2, 1)]
 
 
 @pytest.mark.parametrize("letter", LETTERS)
 @pytest.mark.parametrize(("one", "other"), PAIRS)
-def test_combination(letter, one, other):
-    TRIED.append((letter, (one, other)))
+def test_combination_is_recorded(letter, one, other):
+    """Record the combinations that run; the next test checks them."""
+    COMBINATIONS.append((letter, (one, other)))
 
 
-def test_each_choice():
+def test_chosen_combinations_have_every_value():
     """One process runs all combinations; several run four, with every letter and every pair."""
-    if not TRIED:
+    if not COMBINATIONS:
         pytest.skip("test_combination, whose choice this looks at, is not selected")
     if COMM.size == 1:
-        agree(sorted(TRIED) == sorted(itertools.product(LETTERS, PAIRS)), TRIED)
+        agree(sorted(COMBINATIONS) == sorted(itertools.product(LETTERS, PAIRS)), COMBINATIONS)
     else:
-        agree(len(TRIED) == 4, TRIED)
-        agree({letter for letter, _ in TRIED} == set(LETTERS), TRIED)
-        agree({pair for _, pair in TRIED} == set(PAIRS), TRIED)
+        agree(len(COMBINATIONS) == 4, COMBINATIONS)
+        agree({letter for letter, _ in COMBINATIONS} == set(LETTERS), COMBINATIONS)
+        agree({pair for _, pair in COMBINATIONS} == set(PAIRS), COMBINATIONS)

@@ -23,11 +23,13 @@ pytestmark = pytest.mark.serial
     ],
     ids=["typable", "blank", "quotes", "signs", "empty", "nothing-left"],
 )
-def test_typable(text, expected):
+def test_ids_have_hyphens_for_what_a_shell_interprets(text, expected):
+    """A text that can be typed stays as it is."""
     assert typable(text) == expected
 
 
 def test_long_texts_are_cut():
+    """Two ids of parameters fit on a line with the name of their test."""
     assert typable("x" * 100) == "x" * MAX_LENGTH
 
 
@@ -42,5 +44,6 @@ def test_long_texts_are_cut():
     ],
     ids=["mapping", "set", "tuple", "lambda", "number"],
 )
-def test_id_of(value, expected):
+def test_ids_of_collections_name_their_entries(value, expected):
+    """A function has its name; pytest's own ids of numbers are kept."""
     assert id_of(value, "argument") == expected

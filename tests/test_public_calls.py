@@ -27,7 +27,7 @@ from dolfinx_feti.diagnosis.figures import collect_figures
 TESTS = Path(__file__).parent
 
 
-def public(room: str) -> dict[str, object]:
+def public_names(room: str) -> dict[str, object]:
     """Return the public names of a room: those of its ``__all__``, or of those of its files."""
     folder = importlib.import_module(f"dolfinx_feti.{room}")
     if not hasattr(folder, "__all__"):
@@ -39,16 +39,25 @@ def public(room: str) -> dict[str, object]:
 
 @pytest.mark.serial
 @pytest.mark.parametrize("room", ["loading", "output", "diagnosis", "comparison"])
-def test_every_public_call_has_its_test(room):
+def test_every_public_name_is_called_by_a_test(room):
+    """A call counts, wherever it is in a test."""
     tests = "".join(path.read_text(encoding="utf-8") for path in TESTS.rglob("test_*.py"))
-    things = {name: it for name, it in public(room).items() if not dataclasses.is_dataclass(it)}
-    names = [name for name, it in things.items() if inspect.isfunction(it) or inspect.isclass(it)]
+    members = {
+        name: member
+        for name, member in public_names(room).items()
+        if not dataclasses.is_dataclass(member)
+    }
+    names = [
+        name
+        for name, member in members.items()
+        if inspect.isfunction(member) or inspect.isclass(member)
+    ]
     assert names
     assert not [name for name in names if not re.search(rf"\b{name}\b\(", tests)]
 
 
-def test_calls_that_work_for_others():
-    """The figures of a solver are the same on all processes; its solution agrees with MUMPS's."""
+def test_measurements_of_a_solver_agree_on_all_processes():
+    """Its solution agrees with that of MUMPS."""
     body = elasticity(cube(3, 3))
     problem = LinearProblem(body.a, body.L, bcs=body.bcs, subdomains=6)
     A, b = problem.linear_system()
@@ -56,8 +65,8 @@ def test_calls_that_work_for_others():
     cost, ksp = comparison.timed_solve(problem.create_linear_solver, b, x)
     small(np.linalg.norm(run.residual_shares(A, b, x)) / b.norm(), 1e-7)
     context = ksp.getPythonContext()
-    found = collect_figures(context.formulation)
-    agree(len(set(COMM.allgather(repr(found)))) == 1, found)
+    figures = collect_figures(context.formulation)
+    agree(len(set(COMM.allgather(repr(figures)))) == 1, figures)
     agree(cost.iterations == ksp.getIterationNumber() and cost.seconds_solve > 0.0, cost)
     K, f = comparison.assembled_system(A, b)
     y = comparison.measure(lambda: comparison.create_solver(K), f)[1]

@@ -48,7 +48,7 @@ class Body:
 
 
 def yeoh(F: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
-    """Yeoh's rubber, in plane strain for d = 2, with a volumetric part; nothing but UFL."""
+    """Return the energy of Yeoh's rubber, in plane strain for d = 2, with a volumetric part."""
     d = F.ufl_shape[0]
     J = ufl.det(F)
     x = J ** (-2 / 3) * (ufl.inner(F, F) + (3 - d)) - 3
@@ -56,13 +56,13 @@ def yeoh(F: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
 
 
 def logarithmic(F: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
-    """A neo-Hookean energy that is NaN once a cell turns inside out."""
+    """Return a neo-Hookean energy that is NaN once a cell turns inside out."""
     J = ufl.det(F)
     return (ufl.inner(F, F) - F.ufl_shape[0]) / 2 - ufl.ln(J) + 0.5 * ufl.ln(J) ** 2
 
 
 def gent(F: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
-    """Chains of limited length: NaN where they would be overstretched."""
+    """Return the energy of chains of limited length, NaN where they would be overstretched."""
     x = (ufl.inner(F, F) - F.ufl_shape[0] - 2 * ufl.ln(ufl.det(F))) / 2.0
     return -ufl.ln(1 - x) + (ufl.det(F) - 1) ** 2
 
@@ -73,7 +73,13 @@ def block(
     *,
     degree: int = 1,
 ) -> Body:
-    """Set up a unit square or cube of a material."""
+    """Return a unit square or cube of a material, clamped on the left.
+
+    Args:
+        density: Energy per volume, by F.
+        force: Force per volume, (2,) or (3,); its length is the dimension.
+        degree: Degree of the displacement.
+    """
     d = len(force)
     mesh = cube(d, 3)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (d,)))

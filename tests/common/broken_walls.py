@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mpi4py import MPI
@@ -23,35 +23,41 @@ from dolfinx_feti.wall.wallfile import read_wall_arrays
 
 CASE = (ROOT / "demos/wall.toml").read_text(encoding="utf-8")
 
-#: By the name of a file: a function that writes it into a folder and returns its path, and a
-#: pattern of the error.
-BROKEN: dict[str, tuple[Callable[[Path], Path], str]] = {}
+
+@dataclass(frozen=True)
+class BrokenFile:
+    """A file that is refused.
+
+    Attributes:
+        name: Its name.
+        match: Pattern of the error.
+        write: Writes the file to a path.
+    """
+
+    name: str
+    match: str
+    write: Callable[[Path], object]
+
+    def write_into(self, folder: Path) -> Path:
+        """Write the file into a folder; return its path."""
+        self.write(folder / self.name)
+        return folder / self.name
 
 
-def broken(name: str, match: str, write: Callable[[Path], object]) -> None:
-    """Add a file: its name, a pattern of its error, and a function that writes it to a path."""
-
-    def written(folder: Path) -> Path:
-        write(folder / name)
-        return folder / name
-
-    BROKEN[name] = (written, match)
-
-
-def text(name: str, content: bytes | str, match: str) -> None:
-    """Add a file with the given content."""
+def text(name: str, content: bytes | str, match: str) -> BrokenFile:
+    """Return a file with the given content."""
     data = content if isinstance(content, bytes) else content.encode()
-    broken(name, match, lambda path: path.write_bytes(data))
+    return BrokenFile(name, match, lambda path: path.write_bytes(data))
 
 
-def changed(name: str, match: str, **arrays: Callable[[WallArrays], np.ndarray]) -> None:
-    """Add the example with changed arrays: each is computed from the example's arrays."""
+def changed(name: str, match: str, **arrays: Callable[[WallArrays], np.ndarray]) -> BrokenFile:
+    """Return the example with changed arrays: each is computed from the example's arrays."""
 
     def write(path: Path) -> None:
         mesh = read_wall_arrays(EXAMPLE)
         write_msh(path, replace(mesh, **{k: f(mesh) for k, f in arrays.items()}))
 
-    broken(name, match, write)
+    return BrokenFile(name, match, write)
 
 
 def with_rows(rows: np.ndarray, at: object, values: object) -> np.ndarray:
@@ -67,108 +73,120 @@ MSH = EXAMPLE.read_bytes()
 NOISE = np.random.default_rng(71).bytes(4000)
 HEAD = b"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
 
-text("empty.msh", b"", "empty.msh")
-text("nonsense.msh", "no mesh at all\n", "nonsense.msh")
-text("noise.msh", NOISE, "noise.msh")
-text("head_alone.msh", HEAD, "has no ")
-text("noise_behind_the_head.msh", HEAD + b"$Nodes\n" + NOISE, "noise_behind_the_head.msh")
-text("binary_where_text_is_expected.msh", MSH[:600] + NOISE + MSH[4600:], "binary_where_text")
-text("cut_in_the_nodes.msh", MSH[:3000], "cut_in_the_nodes.msh")
-text("cut_in_the_elements.msh", MSH[:15000], "cut_in_the_elements.msh")
-text("other_version.msh", MSH.replace(b"2.2 0 8", b"9.7 0 8", 1), "other_version.msh")
-text("no_groups.msh", MSH.replace(b"$PhysicalNames", b"$Comments", 1), "no_groups.msh|no named")
-text("one_name_twice.msh", MSH.replace(b"adventitia", b"media"), "no name for some cells|called")
-text("empty.vtu", b"", "cannot read .*empty.vtu")
-text("noise.vtu", NOISE, "cannot read .*noise.vtu")
-text("noise.xdmf", NOISE, "cannot read .*noise.xdmf")
-text("noise.mesh", NOISE, "noise.mesh")
-text("unknown.dat0", "3 4 5\n", "cannot read .*unknown.dat0")
+TEXT_FILES = [
+    text("empty.msh", b"", "empty.msh"),
+    text("nonsense.msh", "no mesh at all\n", "nonsense.msh"),
+    text("noise.msh", NOISE, "noise.msh"),
+    text("head_alone.msh", HEAD, "has no "),
+    text("noise_behind_the_head.msh", HEAD + b"$Nodes\n" + NOISE, "noise_behind_the_head.msh"),
+    text("binary_where_text_is_expected.msh", MSH[:600] + NOISE + MSH[4600:], "binary_where_text"),
+    text("cut_in_the_nodes.msh", MSH[:3000], "cut_in_the_nodes.msh"),
+    text("cut_in_the_elements.msh", MSH[:15000], "cut_in_the_elements.msh"),
+    text("other_version.msh", MSH.replace(b"2.2 0 8", b"9.7 0 8", 1), "other_version.msh"),
+    text(
+        "no_groups.msh", MSH.replace(b"$PhysicalNames", b"$Comments", 1), "no_groups.msh|no named"
+    ),
+    text(
+        "one_name_twice.msh", MSH.replace(b"adventitia", b"media"), "no name for some cells|called"
+    ),
+    text("empty.vtu", b"", "cannot read .*empty.vtu"),
+    text("noise.vtu", NOISE, "cannot read .*noise.vtu"),
+    text("noise.xdmf", NOISE, "cannot read .*noise.xdmf"),
+    text("noise.mesh", NOISE, "noise.mesh"),
+    text("unknown.dat0", "3 4 5\n", "cannot read .*unknown.dat0"),
+]
 
 # -- meshes
 
-changed(
-    "nan.msh",
-    "coordinates that are not finite|cannot read",
-    points=lambda m: with_rows(m.points, 5, np.nan),
-)
-changed(
-    "infinite.msh",
-    "coordinates that are not finite|cannot read",
-    points=lambda m: with_rows(m.points, 5, [1e999, 0, 0]),
-)
-changed("plane.msh", "have no volume", points=lambda m: m.points * [1, 1, 0])
-changed(
-    "inverted.msh",
-    "3 tetrahedra of .* are inverted",
-    cells=lambda m: with_rows(m.cells, slice(3), m.cells[:3, [1, 0, 2, 3]]),
-)
-changed(
-    "folded.msh",
-    "are inverted|no volume",
-    points=lambda m: with_rows(m.points, m.cells[0, 0], 3.0 * m.points[m.cells[0, 0]] + 1.0),
-)
-changed(
-    "cell_twice.msh",
-    "1 tetrahedra of .* occur twice",
-    cells=lambda m: np.vstack([m.cells, m.cells[:1]]),
-    cell_tags=lambda m: np.append(m.cell_tags, 3 - m.cell_tags[0]),
-)
-changed(
-    "non_manifold.msh",
-    "faces of more than two tetrahedra|inverted",
-    points=lambda m: np.vstack([m.points, [[9.0, 9, 9], [9, 9, 10]]]),
-    cells=lambda m: np.vstack([m.cells, [[*m.cells[0, :3], len(m.points) + k] for k in (0, 1)]]),
-    cell_tags=lambda m: np.append(m.cell_tags, [1, 1]),
-)
-changed(
-    "lost_points.msh",
-    "points that are not in the file|cannot read",
-    cells=lambda m: with_rows(m.cells, 7, m.cells[7] + len(m.points)),
-)
-changed(
-    "facet_twice.msh",
-    "triangles of .* have two tags",
-    facets=lambda m: np.vstack([m.facets, m.facets[:2]]),
-    facet_tags=lambda m: np.append(m.facet_tags, [12, 12]),
-)
-changed(
-    "cells_without_group.msh",
-    "5 cells of .* are in no physical volume",
-    cell_tags=lambda m: np.where(np.arange(len(m.cells)) < 5, 0, m.cell_tags),
-)
-changed(
-    "layer_without_name.msh",
-    "no name for some cells.*nameless = 777",
-    cell_tags=lambda m: np.where(np.arange(len(m.cells)) < 5, 777, m.cell_tags),
-)
-changed(
-    "flat_cell.msh",
-    "1 tetrahedra of .* have no volume",
-    cells=lambda m: np.vstack([m.cells, m.cells[:1, [0, 1, 2, 2]]]),
-    cell_tags=lambda m: np.append(m.cell_tags, 1),
-)
-changed(
-    "stray_facet.msh",
-    "1 tagged triangles of .* are not faces",
-    facets=lambda m: np.vstack([m.facets, [[0, 1, len(m.points) - 1]]]),
-    facet_tags=lambda m: np.append(m.facet_tags, 3),
-)
-changed(
-    "surfaces_alone.msh",
-    "no named layer",
-    cells=lambda m: m.cells[:0],
-    cell_tags=lambda m: m.cell_tags[:0],
-)
-changed(
-    "no_surface.msh",
-    "no named surface",
-    facets=lambda m: m.facets[:0],
-    facet_tags=lambda m: m.facet_tags[:0],
-)
+CHANGED_MESHES = [
+    changed(
+        "nan.msh",
+        "coordinates that are not finite|cannot read",
+        points=lambda m: with_rows(m.points, 5, np.nan),
+    ),
+    changed(
+        "infinite.msh",
+        "coordinates that are not finite|cannot read",
+        points=lambda m: with_rows(m.points, 5, [1e999, 0, 0]),
+    ),
+    changed("plane.msh", "have no volume", points=lambda m: m.points * [1, 1, 0]),
+    changed(
+        "inverted.msh",
+        "3 tetrahedra of .* are inverted",
+        cells=lambda m: with_rows(m.cells, slice(3), m.cells[:3, [1, 0, 2, 3]]),
+    ),
+    changed(
+        "folded.msh",
+        "are inverted|no volume",
+        points=lambda m: with_rows(m.points, m.cells[0, 0], 3.0 * m.points[m.cells[0, 0]] + 1.0),
+    ),
+    changed(
+        "cell_twice.msh",
+        "1 tetrahedra of .* occur twice",
+        cells=lambda m: np.vstack([m.cells, m.cells[:1]]),
+        cell_tags=lambda m: np.append(m.cell_tags, 3 - m.cell_tags[0]),
+    ),
+    changed(
+        "non_manifold.msh",
+        "faces of more than two tetrahedra|inverted",
+        points=lambda m: np.vstack([m.points, [[9.0, 9, 9], [9, 9, 10]]]),
+        cells=lambda m: np.vstack(
+            [m.cells, [[*m.cells[0, :3], len(m.points) + k] for k in (0, 1)]]
+        ),
+        cell_tags=lambda m: np.append(m.cell_tags, [1, 1]),
+    ),
+    changed(
+        "lost_points.msh",
+        "points that are not in the file|cannot read",
+        cells=lambda m: with_rows(m.cells, 7, m.cells[7] + len(m.points)),
+    ),
+    changed(
+        "facet_twice.msh",
+        "triangles of .* have two tags",
+        facets=lambda m: np.vstack([m.facets, m.facets[:2]]),
+        facet_tags=lambda m: np.append(m.facet_tags, [12, 12]),
+    ),
+    changed(
+        "cells_without_group.msh",
+        "5 cells of .* are in no physical volume",
+        cell_tags=lambda m: np.where(np.arange(len(m.cells)) < 5, 0, m.cell_tags),
+    ),
+    changed(
+        "layer_without_name.msh",
+        "no name for some cells.*nameless = 777",
+        cell_tags=lambda m: np.where(np.arange(len(m.cells)) < 5, 777, m.cell_tags),
+    ),
+    changed(
+        "flat_cell.msh",
+        "1 tetrahedra of .* have no volume",
+        cells=lambda m: np.vstack([m.cells, m.cells[:1, [0, 1, 2, 2]]]),
+        cell_tags=lambda m: np.append(m.cell_tags, 1),
+    ),
+    changed(
+        "stray_facet.msh",
+        "1 tagged triangles of .* are not faces",
+        facets=lambda m: np.vstack([m.facets, [[0, 1, len(m.points) - 1]]]),
+        facet_tags=lambda m: np.append(m.facet_tags, 3),
+    ),
+    changed(
+        "surfaces_alone.msh",
+        "no named layer",
+        cells=lambda m: m.cells[:0],
+        cell_tags=lambda m: m.cell_tags[:0],
+    ),
+    changed(
+        "no_surface.msh",
+        "no named surface",
+        facets=lambda m: m.facets[:0],
+        facet_tags=lambda m: m.facet_tags[:0],
+    ),
+]
 
 
-def box(name: str, match: str, *groups: tuple[int, str], dim: int = 3, **options: float) -> None:
-    """Add a box, or a square, meshed by Gmsh.
+def box(
+    name: str, match: str, *groups: tuple[int, str], dim: int = 3, **options: float
+) -> BrokenFile:
+    """Return a box, or a square, meshed by Gmsh.
 
     Args:
         name: Name of the file; if it begins with ``cut``, half of the file is cut off.
@@ -198,41 +216,47 @@ def box(name: str, match: str, *groups: tuple[int, str], dim: int = 3, **options
         if name.startswith("cut"):
             os.truncate(path, path.stat().st_size // 2)
 
-    broken(name, match, write)
+    return BrokenFile(name, match, write)
 
 
 MEDIA = (3, "media")
 LUMEN = (2, "lumen")
-box(
-    "two_groups.msh",
-    "Volume 1 of .* is in two physical groups, 'media' and 'tissue'",
-    MEDIA,
-    (3, "tissue"),
-    LUMEN,
-)
-box(
-    "surface_in_two_groups.msh",
-    "Surface 1 of .* is in two physical groups",
-    MEDIA,
-    LUMEN,
-    (2, "outer"),
-)
-box("square.msh", "no named layer", (2, "media"), (1, "lumen"), dim=2)
-box("cut_binary.msh", "gmsh cannot read .*cut_binary.msh", MEDIA, LUMEN, Binary=1)
-box("third_order.msh", "elements of type Tetrahedron 20", MEDIA, LUMEN, ElementOrder=3)
+GMSH_BOXES = [
+    box(
+        "two_groups.msh",
+        "Volume 1 of .* is in two physical groups, 'media' and 'tissue'",
+        MEDIA,
+        (3, "tissue"),
+        LUMEN,
+    ),
+    box(
+        "surface_in_two_groups.msh",
+        "Surface 1 of .* is in two physical groups",
+        MEDIA,
+        LUMEN,
+        (2, "outer"),
+    ),
+    box("square.msh", "no named layer", (2, "media"), (1, "lumen"), dim=2),
+    box("cut_binary.msh", "gmsh cannot read .*cut_binary.msh", MEDIA, LUMEN, Binary=1),
+    box("third_order.msh", "elements of type Tetrahedron 20", MEDIA, LUMEN, ElementOrder=3),
+]
 
-broken("nowhere.msh", "There is no file", lambda path: None)
-broken("nowhere.toml", "no file .*: name a TOML file", lambda path: None)
+MISSING_FILES = [
+    BrokenFile("nowhere.msh", "There is no file", lambda path: None),
+    BrokenFile("nowhere.toml", "no file .*: name a TOML file", lambda path: None),
+]
 
 
-def damaged(name: str, change: Callable[[Path], object], match: str = "cannot be read") -> None:
-    """Add a file of ``write_wall`` that ``change`` damages."""
+def damaged(
+    name: str, change: Callable[[Path], object], match: str = "cannot be read"
+) -> BrokenFile:
+    """Return a file of ``write_wall`` that ``change`` damages."""
 
     def write(path: Path) -> None:
         write_wall(path, read_wall(EXAMPLE, MPI.COMM_SELF))
         change(path)
 
-    broken(name, match, write)
+    return BrokenFile(name, match, write)
 
 
 def table(key: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
@@ -250,34 +274,48 @@ def table(key: str, change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Pat
 
 
 SURFACES = "MeshTags/surfaces/topology"
-damaged("no_data.xdmf", lambda p: p.with_suffix(".h5").unlink())
-damaged("noise_for_data.xdmf", lambda p: p.with_suffix(".h5").write_bytes(NOISE))
-damaged("cut_data.xdmf", lambda p: os.truncate(p.with_suffix(".h5"), 5000))
-damaged("no_names.xdmf", lambda p: p.write_text(p.read_text().replace("surfaces&quot;", "&quot;")))
-damaged("nan.xdmf", table("Mesh/mesh/geometry", lambda x: x * np.nan), "not finite")
-damaged("lost_points.xdmf", table("Mesh/mesh/topology", lambda t: t + 10**6), "not in the file")
-damaged("one_point.xdmf", table("Mesh/mesh/topology", lambda t: 0 * t), "occur twice")
-damaged("cell_twice.xdmf", table("Mesh/mesh/topology", lambda t: np.vstack([t[-1:], t[1:]])))
-damaged("plane.xdmf", table("Mesh/mesh/geometry", lambda x: x * [1, 1, 0]), "have no volume")
-damaged("lost_layers.xdmf", table("MeshTags/layers/topology", lambda t: t + 10**6), "not in the")
-damaged("minus_layers.xdmf", table("MeshTags/layers/topology", lambda t: 0 * t - 9), "not in the")
-damaged("one_layer.xdmf", table("MeshTags/layers/topology", lambda t: 0 * t), "layers are not")
-damaged("narrow.xdmf", table("MeshTags/layers/topology", lambda t: t[:, :3]))
-damaged("few_tags.xdmf", table("MeshTags/layers/Values", lambda v: v[:5]))
-damaged("few_layers.xdmf", table("MeshTags/layers/topology", lambda t: t[:5]))
-damaged("lost_facets.xdmf", table(SURFACES, lambda t: 0 * t - 1), "not in the")
-damaged("stray_facets.xdmf", table(SURFACES, lambda t: 0 * t), "surfaces are not")
-damaged("nameless.xdmf", table("MeshTags/layers/Values", lambda t: 777 + 0 * t), "layers are not")
-damaged("bare.xdmf", table("MeshTags/surfaces/Values", lambda t: 777 + 0 * t), "surfaces are not")
-damaged("list.xdmf", lambda p: p.write_text(re.sub("{&quot;media.*?}", "[]", p.read_text())))
-damaged(
-    "no_tag.xdmf",
-    lambda p: p.write_text(p.read_text().replace("media&quot;: 1", "media&quot;: []")),
-)
+DAMAGED_XDMF_FILES = [
+    damaged("no_data.xdmf", lambda p: p.with_suffix(".h5").unlink()),
+    damaged("noise_for_data.xdmf", lambda p: p.with_suffix(".h5").write_bytes(NOISE)),
+    damaged("cut_data.xdmf", lambda p: os.truncate(p.with_suffix(".h5"), 5000)),
+    damaged(
+        "no_names.xdmf", lambda p: p.write_text(p.read_text().replace("surfaces&quot;", "&quot;"))
+    ),
+    damaged("nan.xdmf", table("Mesh/mesh/geometry", lambda x: x * np.nan), "not finite"),
+    damaged(
+        "lost_points.xdmf", table("Mesh/mesh/topology", lambda t: t + 10**6), "not in the file"
+    ),
+    damaged("one_point.xdmf", table("Mesh/mesh/topology", lambda t: 0 * t), "occur twice"),
+    damaged("cell_twice.xdmf", table("Mesh/mesh/topology", lambda t: np.vstack([t[-1:], t[1:]]))),
+    damaged("plane.xdmf", table("Mesh/mesh/geometry", lambda x: x * [1, 1, 0]), "have no volume"),
+    damaged(
+        "lost_layers.xdmf", table("MeshTags/layers/topology", lambda t: t + 10**6), "not in the"
+    ),
+    damaged(
+        "minus_layers.xdmf", table("MeshTags/layers/topology", lambda t: 0 * t - 9), "not in the"
+    ),
+    damaged("one_layer.xdmf", table("MeshTags/layers/topology", lambda t: 0 * t), "layers are not"),
+    damaged("narrow.xdmf", table("MeshTags/layers/topology", lambda t: t[:, :3])),
+    damaged("few_tags.xdmf", table("MeshTags/layers/Values", lambda v: v[:5])),
+    damaged("few_layers.xdmf", table("MeshTags/layers/topology", lambda t: t[:5])),
+    damaged("lost_facets.xdmf", table(SURFACES, lambda t: 0 * t - 1), "not in the"),
+    damaged("stray_facets.xdmf", table(SURFACES, lambda t: 0 * t), "surfaces are not"),
+    damaged(
+        "nameless.xdmf", table("MeshTags/layers/Values", lambda t: 777 + 0 * t), "layers are not"
+    ),
+    damaged(
+        "bare.xdmf", table("MeshTags/surfaces/Values", lambda t: 777 + 0 * t), "surfaces are not"
+    ),
+    damaged("list.xdmf", lambda p: p.write_text(re.sub("{&quot;media.*?}", "[]", p.read_text()))),
+    damaged(
+        "no_tag.xdmf",
+        lambda p: p.write_text(p.read_text().replace("media&quot;: 1", "media&quot;: []")),
+    ),
+]
 
 
-def with_tags(name: str, tag: float) -> None:
-    """Add the example in a format of meshio, with this tag of its first cell."""
+def with_tags(name: str, tag: float) -> BrokenFile:
+    """Return the example in a format of meshio, with this tag of its first cell."""
 
     def write(path: Path) -> None:
         import meshio
@@ -288,16 +326,18 @@ def with_tags(name: str, tag: float) -> None:
         data = {"tag": [layers, mesh.facet_tags.astype(float)]}
         meshio.Mesh(mesh.points, blocks, cell_data=data).write(path)
 
-    broken(name, "not one integer of 32 bits for each tetra", write)
+    return BrokenFile(name, "not one integer of 32 bits for each tetra", write)
 
 
-with_tags("huge_tag.vtu", 2.0**32 + 1.0)
-with_tags("infinite_tag.vtu", np.inf)
-with_tags("nan_tag.vtu", np.nan)
+FILES_WITH_WRONG_TAGS = [
+    with_tags("huge_tag.vtu", 2.0**32 + 1.0),
+    with_tags("infinite_tag.vtu", np.inf),
+    with_tags("nan_tag.vtu", np.nan),
+]
 
 
-def alone(name: str, kind: str, nodes: int, match: str, *data: str) -> None:
-    """Add a file of one cell, in a format of meshio or in Gmsh's.
+def alone(name: str, kind: str, nodes: int, match: str, *data: str) -> BrokenFile:
+    """Return a file of one cell, in a format of meshio or in Gmsh's.
 
     Args:
         name: Name of the file.
@@ -316,32 +356,55 @@ def alone(name: str, kind: str, nodes: int, match: str, *data: str) -> None:
         how = {"file_format": "gmsh22", "binary": False} if path.suffix == ".msh" else {}
         meshio.Mesh(points, [(kind, cells)], cell_data=ones).write(path, **how)
 
-    broken(name, match, write)
+    return BrokenFile(name, match, write)
 
 
 GMSH = ("gmsh:physical", "gmsh:geometrical")
-alone("layer_alone.vtu", "tetra", 4, "no named surface. Found: .*none", "layer")
-alone("colour.vtu", "tetra", 4, "no cell data layer or .*: colour", "colour")
-alone("hexahedron.vtu", "hexahedron", 8, "a wall has tetra", "layer")
-alone("tetra10.vtu", "tetra10", 10, "a wall has tetra", "layer")
-alone("wedge.msh", "wedge", 6, "a wall has tetra", *GMSH)
-alone("hexahedron20.msh", "hexahedron20", 20, "a wall has tetra", *GMSH)
+SINGLE_CELLS = [
+    alone("layer_alone.vtu", "tetra", 4, "no named surface. Found: .*none", "layer"),
+    alone("colour.vtu", "tetra", 4, "no cell data layer or .*: colour", "colour"),
+    alone("hexahedron.vtu", "hexahedron", 8, "a wall has tetra", "layer"),
+    alone("tetra10.vtu", "tetra10", 10, "a wall has tetra", "layer"),
+    alone("wedge.msh", "wedge", 6, "a wall has tetra", *GMSH),
+    alone("hexahedron20.msh", "hexahedron20", 20, "a wall has tetra", *GMSH),
+]
 
 # -- cases
 
-for name, content, match in (
-    ("empty.toml", b"", "mesh is missing"),
-    ("noise.toml", NOISE, "is no TOML file"),
-    ("cut.toml", CASE[: CASE.index("= 3.0") + 1], "is no TOML file"),
-    ("deep.toml", "a = " + "[" * 5000, "is no TOML file"),
-    ("tables.toml", CASE.replace("[layers.media]", "[[layers.media]]"), "give a table"),
-    ("nan.toml", CASE.replace("c = 3.0", "c = nan"), "c = nan: give a positive"),
-    ("huge.toml", CASE.replace("c = 3.0", f"c = 1{'0' * 400}"), "give a positive"),
-    ("utf16.toml", CASE.encode("utf-16"), "is no TOML file"),
-    ("unit_twice.toml", CASE.replace("3.0", '"3 kPa kPa"', 1), "c = '3 kPa kPa': give a positive"),
-    ("inline.toml", CASE.replace("c = 3.0", "c = {kPa = 3}"), "give a positive number in kPa"),
-    ("tiny.toml", CASE.replace("c = 3.0", 'c = "1e-306 Pa"'), "c = '1e-306 Pa': give a positive"),
-    ("date.toml", CASE.replace("c = 3.0", "c = 2026-11-26"), "give a positive"),
-    ("no_dashpot.toml", re.sub("\ndashpot.*", "", CASE), "rate = 100.0: has no effect without a"),
-):
-    text(name, content, match)
+BROKEN_CASES = [
+    text("empty.toml", b"", "mesh is missing"),
+    text("noise.toml", NOISE, "is no TOML file"),
+    text("cut.toml", CASE[: CASE.index("= 3.0") + 1], "is no TOML file"),
+    text("deep.toml", "a = " + "[" * 5000, "is no TOML file"),
+    text("tables.toml", CASE.replace("[layers.media]", "[[layers.media]]"), "give a table"),
+    text("nan.toml", CASE.replace("c = 3.0", "c = nan"), "c = nan: give a positive"),
+    text("huge.toml", CASE.replace("c = 3.0", f"c = 1{'0' * 400}"), "give a positive"),
+    text("utf16.toml", CASE.encode("utf-16"), "is no TOML file"),
+    text(
+        "unit_twice.toml", CASE.replace("3.0", '"3 kPa kPa"', 1), "c = '3 kPa kPa': give a positive"
+    ),
+    text("inline.toml", CASE.replace("c = 3.0", "c = {kPa = 3}"), "give a positive number in kPa"),
+    text(
+        "tiny.toml", CASE.replace("c = 3.0", 'c = "1e-306 Pa"'), "c = '1e-306 Pa': give a positive"
+    ),
+    text("date.toml", CASE.replace("c = 3.0", "c = 2026-11-26"), "give a positive"),
+    text(
+        "no_dashpot.toml", re.sub("\ndashpot.*", "", CASE), "rate = 100.0: has no effect without a"
+    ),
+]
+
+#: By the name of a file: a function that writes it into a folder and returns its path, and a
+#: pattern of the error.
+BROKEN: dict[str, tuple[Callable[[Path], Path], str]] = {
+    file.name: (file.write_into, file.match)
+    for file in (
+        *TEXT_FILES,
+        *CHANGED_MESHES,
+        *GMSH_BOXES,
+        *MISSING_FILES,
+        *DAMAGED_XDMF_FILES,
+        *FILES_WITH_WRONG_TAGS,
+        *SINGLE_CELLS,
+        *BROKEN_CASES,
+    )
+}

@@ -47,6 +47,7 @@ class Attempt(NamedTuple):
 
 
 def truth(t: float) -> tuple[float, float]:
+    """Return u and p of the equilibrium at a load."""
     return 1 - 2 * t + 3 * t**2, t**2 - t
 
 
@@ -104,9 +105,11 @@ class FakeProblem:
         return tuple(float(COMM.bcast(v[0] if len(v) else None)) for v in values)
 
     def linearise(self) -> State:
+        """Return the load and state at which the tangent is assembled."""
         return (self.load, *self.state())
 
     def residual_norm(self) -> float:
+        """Return a norm by which the present state is known later, as a reference."""
         norm = 1.0 + len(self._norms)
         self._norms[norm] = self.linearise()
         return norm
@@ -165,6 +168,7 @@ class FakeProblem:
         self._set(*truth(self.load))
 
     def follow(self, targets: list[float], steps: Steps, **arguments: object) -> list[LoadStep]:
+        """Follow the load through targets; return the load steps."""
         return follow_load(
             self,
             lambda load: setattr(self, "load", load),

@@ -20,14 +20,14 @@ Indices = npt.NDArray[np.int64]
 
 
 def areas(wall: WallArrays) -> dict[str, float]:
-    """Area of each surface [mm²]."""
+    """Return the area of each surface [mm²]."""
     a, b, c = np.moveaxis(wall.points[wall.facets], 1, 0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
     return {n: area[wall.facet_tags == t].sum() for n, t in wall.surface_names.items()}
 
 
 def volumes(wall: WallArrays) -> dict[str, float]:
-    """Volume of each layer [mm³]."""
+    """Return the volume of each layer [mm³]."""
     volume = np.abs(np.linalg.det(wall.points[wall.cells[:, 1:]] - wall.points[wall.cells[:, :1]]))
     return {n: volume[wall.cell_tags == t].sum() / 6 for n, t in wall.layer_names.items()}
 
@@ -35,9 +35,9 @@ def volumes(wall: WallArrays) -> dict[str, float]:
 def watertight(wall: WallArrays) -> None:
     """Assert that the facets are the faces of a single cell, each of them once."""
     faces = wall.cells[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3)
-    found, count = np.unique(np.sort(faces, axis=1), axis=0, return_counts=True)
+    sorted_faces, count = np.unique(np.sort(faces, axis=1), axis=0, return_counts=True)
     agree(count.max() == 2)
-    equal(np.unique(np.sort(wall.facets, axis=1), axis=0), found[count == 1])
+    equal(np.unique(np.sort(wall.facets, axis=1), axis=0), sorted_faces[count == 1])
     agree(len(wall.facets) == np.sum(count == 1))
 
 

@@ -128,7 +128,7 @@ class Mixed:
         return np.concatenate([dolfinx.fem.assemble_vector(form).array.copy() for form in self._r])
 
     def step(self) -> tuple[Array, Array]:
-        """Return the Newton step Δu, Δp from the present state; Δp of all fields in a row."""
+        """Return the Newton step from the present state: Δu, and Δp of all fields in a row."""
         n = len(self.body.u.x.array)
         r = self.residual()
         K = scipy.sparse.block_array(self.blocks(), format="csc")

@@ -34,11 +34,11 @@ def newton_by_hand(
     dofmap = w.function_space.dofmap
     n = dofmap.index_map.size_local * dofmap.index_map_bs
     first = COMM.scan(n) - n
-    held = np.zeros(n, dtype=bool)
+    is_prescribed = np.zeros(n, dtype=bool)
     for bc in bcs:
         dofs = bc.dof_indices()[0]
-        held[dofs[dofs < n]] = True
-    free = ~whole(held)
+        is_prescribed[dofs[dofs < n]] = True
+    free = ~whole(is_prescribed)
 
     def vector(form: dolfinx.fem.Form) -> np.ndarray:
         b = dolfinx.fem.assemble_vector(form)

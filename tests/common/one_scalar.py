@@ -38,7 +38,7 @@ DENSITY = 0.05  # kPa, kPa, s, kg/mm³
 
 @dataclass(frozen=True)
 class Law:
-    """Material, loads and supports of a sequence of steps; the defaults leave each of them out."""
+    """Material, loads and supports of a sequence of steps; the default of each leaves it out."""
 
     inertia: float | None = None  # ρ_∞ of the motion; None for equilibria
     share: float = 0.0  # β of the Maxwell branch
@@ -180,10 +180,10 @@ def exact(law: Law, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return [y[2], ż, ü, law.viscosity * y[2] ** 2]
 
     start = [0.0] * (3 if law.inertia is None else 4)
-    found = scipy.integrate.solve_ivp(
+    solution = scipy.integrate.solve_ivp(
         change, (0.0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12, method="LSODA"
     )
-    return found.y[0], found.y[-1]
+    return solution.y[0], solution.y[-1]
 
 
 class Block:
@@ -296,24 +296,24 @@ class Block:
             growth: Largest quotient of the lengths of two steps.
             arguments: Further arguments of the path; ``on_step`` is required.
         """
-        known = [start]
+        last_time = [start]
         checkpoint = arguments.get("checkpoint")
         on_step = arguments.pop("on_step")
         if checkpoint is not None and checkpoint.restart:
-            known = [checkpoint.record["loads"][-1]]
+            last_time = [checkpoint.record["loads"][-1]]
 
         def set_time(t: float) -> None:
             self.g.value = law.g(t)
             self.p.value = law.p(t)
-            if self.motion is None and t != known[0]:
-                self.dt.value = self.time_step.value = abs(t - known[0])
+            if self.motion is None and t != last_time[0]:
+                self.dt.value = self.time_step.value = abs(t - last_time[0])
 
-        def shown(step) -> None:
-            known[0] = step.load
+        def after_step(step) -> None:
+            last_time[0] = step.load
             on_step(step)
 
         lengths = {"first": first, "least": first / 64.0, "growth": growth}
-        arguments |= {"start": start, "on_step": shown}
+        arguments |= {"start": start, "on_step": after_step}
         if self.motion is None:
             return follow_load(self.problem, set_time, targets, Steps(**lengths), **arguments)
         steps = TimeSteps(**lengths, longest=4 * first)

@@ -48,26 +48,26 @@ LAUNCHERS = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
 
 def start(*words: object, processes: int = 1, script: object = __file__) -> subprocess.Popen[str]:
     """Start this program, or another script, with ``words`` as its command line."""
-    own = {k: v for k, v in os.environ.items() if not k.startswith((*LAUNCHERS, "SCOTCH_"))}
-    own |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
-    own |= {
+    environment = {k: v for k, v in os.environ.items() if not k.startswith((*LAUNCHERS, "SCOTCH_"))}
+    environment |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+    environment |= {
         "OMPI_MCA_rmaps_base_oversubscribe": "1",
         "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
     }
-    own |= {"OMPI_MCA_mpi_yield_when_idle": "1"}
+    environment |= {"OMPI_MCA_mpi_yield_when_idle": "1"}
     launch = ["mpirun", "-n", str(processes)] if processes > 1 else []
     command = [*launch, sys.executable, str(script), *map(str, words)]
-    said = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    return subprocess.Popen(command, cwd=ROOT, env=own, **said)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    return subprocess.Popen(command, cwd=ROOT, env=environment, **pipes)
 
 
 def finish(process: subprocess.Popen[str]) -> None:
     """Wait for a program, and assert that it succeeds; a failure shows its output."""
     try:
-        said, _ = process.communicate(timeout=300)
+        output, _ = process.communicate(timeout=300)
     finally:
         process.kill()
-    assert process.returncode == 0, said
+    assert process.returncode == 0, output
 
 
 def run_block(kind: str, folder: Path, steps: str = "inf", rank: str = "0") -> None:
@@ -77,19 +77,22 @@ def run_block(kind: str, folder: Path, steps: str = "inf", rank: str = "0") -> N
     block = Block(COMM, law.inertia)
     checkpoint = Checkpoint(folder, COMM, restart=restart)
     block.reset(law)
-    left = float(steps)
-    shown = [time.monotonic()]
+    steps_before_kill = float(steps)
+    step_times = [time.monotonic()]
 
     def on_step(step: object) -> None:
-        shown.append(time.monotonic())
-        if COMM.rank == int(rank) and left <= len(shown) - 1 < left + 1.0:
-            moment = (shown[-1] - shown[-2]) * (len(shown) - 1 - left)
+        step_times.append(time.monotonic())
+        if (
+            COMM.rank == int(rank)
+            and steps_before_kill <= len(step_times) - 1 < steps_before_kill + 1.0
+        ):
+            moment = (step_times[-1] - step_times[-2]) * (len(step_times) - 1 - steps_before_kill)
             threading.Timer(moment, lambda: os.kill(os.getpid(), signal.SIGKILL)).start()
 
     path = block.follow(law, [0.3, 0.6], 0.01, growth=1.0, checkpoint=checkpoint, on_step=on_step)
-    found = [*block.face(), *block.remembered()]
+    results = [*block.face(), *block.remembered()]
     if COMM.rank == 0:
-        np.savez(folder.with_suffix(".npz"), found=found, path=[step.load for step in path])
+        np.savez(folder.with_suffix(".npz"), found=results, path=[step.load for step in path])
 
 
 def parts(subdomains: int) -> list[list[list[int]]]:
@@ -97,12 +100,12 @@ def parts(subdomains: int) -> list[list[list[int]]]:
     with repeatable_partitions():
         mesh = cube(3, 8)
     cell = mesh.topology.original_cell_index[: mesh.topology.index_map(3).size_local]
-    found = []
+    by_seed = []
     for seed in SEEDS:
         part = decompose(mesh, subdomains, seed=seed).subdomain
         rows = np.stack([cell, np.full(len(cell), COMM.rank), part], axis=1)
-        found.append(sorted(np.concatenate(COMM.allgather(rows)).tolist()))
-    return found
+        by_seed.append(sorted(np.concatenate(COMM.allgather(rows)).tolist()))
+    return by_seed
 
 
 if __name__ == "__main__":

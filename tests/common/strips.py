@@ -79,11 +79,12 @@ class Strip:
 
     @staticmethod
     def density(u):
+        """Return the stored energy per area, (|F|² − 2 ln det F)."""
         F = ufl.Identity(2) + ufl.grad(u)
         return ufl.inner(F, F) - 2 * ufl.ln(ufl.det(F))
 
     def place(self, f, strain):
-        """Set a function f to the compression with this strain."""
+        """Interpolate into a function f the compression with this strain."""
 
         def compressed(x):
             ξ = np.minimum(x[0] / self.unit, 1.0)
@@ -99,5 +100,5 @@ class Strip:
 
 
 def volume_warnings(caplog):
-    """Return the warnings of det F, which are logged on the first process."""
+    """Return the warnings of det F, which the first process has logged."""
     return [text for text in logged_messages(caplog) if "det F is" in text]

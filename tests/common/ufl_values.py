@@ -86,7 +86,7 @@ def summed(form: ufl.Form, values: np.ndarray) -> np.ndarray:
         blocks = V.dofmap.list[: len(values), :, None] * bs + np.arange(bs)
         dofs.append(blocks.reshape(len(values), -1))
         sizes.append((V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts) * bs)
-    whole = np.zeros(sizes)
-    where = dofs[0] if len(dofs) == 1 else (dofs[0][:, :, None], dofs[1][:, None, :])
-    np.add.at(whole, where, values)
-    return whole
+    tensor = np.zeros(sizes)
+    entries = dofs[0] if len(dofs) == 1 else (dofs[0][:, :, None], dofs[1][:, None, :])
+    np.add.at(tensor, entries, values)
+    return tensor

@@ -32,7 +32,7 @@ ANGLE = 0.5
 
 
 def family(angle: float) -> ufl.core.expr.Expr:
-    """Fibres in the x-y plane."""
+    """Return a direction of fibres in the x-y plane, at an angle to x."""
     return ufl.as_vector([math.cos(angle), math.sin(angle), 0.0])
 
 
