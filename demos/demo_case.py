@@ -106,6 +106,8 @@ target = args.pressure or case.pressure  # mmHg
 # -
 
 # ## The problem
+#
+# κ is 1000 kPa, for the 10 mmHg of the default case; take 10⁵ kPa at the pressure of blood.
 
 # +
 V = dolfinx.fem.functionspace(mesh, ("Lagrange", args.degree, (3,)))
