@@ -91,8 +91,8 @@ ds = ufl.Measure("ds", mesh, subdomain_data=tags)(1)
 #
 # Two families of fibres wind around each layer at ±35°. Both layers soften with the largest energy
 # so far, which is an *internal variable*: `damaged` returns the softened energy and the update of
-# the variable. κ = 1000 kPa is some ten times the stiffness of the layers, enough for the forces of
-# the balloon; for stresses take 10⁵ kPa.
+# the variable. With κ = 1000 kPa the wall swells a little, which the page on compressibility
+# measures; for results take 10⁵ kPa.
 
 # +
 V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))

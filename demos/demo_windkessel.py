@@ -44,8 +44,8 @@ time_step = 0.04  # s
 # ## The wall
 #
 # A quarter of a slice of a tube with two layers slides in its planes of symmetry and at its ends.
-# Dashpots model the tissue around it. κ = 1000 kPa is enough for pressures and flows; for stresses
-# take 10⁵ kPa.
+# Dashpots model the tissue around it. With κ = 1000 kPa the wall swells a little, which the page on
+# compressibility measures; for results take 10⁵ kPa.
 
 # +
 wall = create_tube_wall(comm, length=0.2, quarter=True, through=(1, 1), around=6, along=1)
