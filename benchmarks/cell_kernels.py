@@ -142,9 +142,9 @@ def shortest(work: Callable[[], object], rounds: int) -> float:
 
 def _run(case: Record, keep: Keep, args: Arguments, _: MPI.Comm) -> None:
     """Compile with an empty cache, and assemble."""
-    artery = create_artery(ELEMENTS[str(case["element"])])
+    artery = create_artery(ELEMENTS[case["element"]])
     V = artery.u.function_space
-    flags = CODES[str(case["code"])]
+    flags = CODES[case["code"]]
     jit_options: dict[str, object] = {}
     if flags:
         jit_options["cffi_extra_compile_args"] = flags
@@ -188,7 +188,7 @@ def _fields(records: Sequence[Record]) -> Fields:
     rows: list[dict[str, Any]] = []
     gains: list[dict[str, float]] = []
     for (element,), same in groups(records, "element"):
-        by_code: dict[str, Any] = {str(record["code"]): record for record in same}
+        by_code: dict[str, Any] = {record["code"]: record for record in same}
         if set(by_code) != set(CODES):
             continue
         for code in CODES:

@@ -37,14 +37,15 @@ from benchmarks.common.compare.opponents import OPPONENTS
 from benchmarks.common.compare.tables import draw_compressible, fields, seconds
 from benchmarks.common.records import Record, Records, threads
 from benchmarks.common.study import Arguments, Keep, Study
-from dolfinx_feti import LinearProblem, NonlinearProblem, loads
+from dolfinx_feti import LinearProblem, NonlinearProblem
 from dolfinx_feti.loading import Checkpoint
 from dolfinx_feti.meshes.arguments import count, positive
 
 USUAL = ("feti", "mumps", "gamg")
 
-#: Share of its load by which that of a loaded body grows.
-MORE = 0.01
+#: Increase of the load of a loaded body, relative to the load. The step is small enough for the
+#: tangent to be that of the loaded equilibrium.
+LOAD_INCREASE = 0.01
 
 Problem = LinearProblem | NonlinearProblem
 
@@ -115,9 +116,9 @@ def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
             names = ("geometry", "degree", "kappa", "wanted_dofs")
             place = args.folder / "_".join([*(str(case[n]) for n in names), f"{args.loaded:g}"])
             path.load(body, args.loaded, Checkpoint(place, comm, restart=place.exists()))
-            body.load.value = loads.mmhg(args.loaded * (1.0 + MORE))
+            body.set_load(args.loaded * (1.0 + LOAD_INCREASE))
         elif (first_load := GEOMETRIES[args.geometry].first_load) is not None:
-            body.load.value = loads.mmhg(first_load)
+            body.set_load(first_load)
         found = _median([_step(problem, solvers, comm) for _ in range(args.rounds)])
     for record in found:
         keep({"solver": record["solver"]}, size | record)
@@ -156,7 +157,7 @@ def _create_body(case: Record, folder: Path, comm: MPI.Comm) -> bodies.Body | Li
 
     If FETI solves a single system, it prints its parts (``ksp_view``).
     """
-    geometry = GEOMETRIES[str(case["geometry"])]
+    geometry = GEOMETRIES[case["geometry"]]
     options: dict[str, object] = {}
     solves_once = case["path_mmhg"] is None and case["loaded_mmhg"] is None and "per" not in case
     if solves_once:

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Cells that are inside out between the points of the quadrature, and what cures it.
+r"""Cells that are inside out between quadrature points, and what prevents them.
 
     python3 -m benchmarks.distorted_cells --json build/distorted_cells.json
     python3 -m benchmarks.distorted_cells --way clamped,second-order --along 8
@@ -25,13 +25,13 @@ import numpy as np
 
 import basix
 import dolfinx
-import ufl
+from ufl.core.expr import Expr
 
 from benchmarks.common import command
-from benchmarks.common.bodies import create_solid
+from benchmarks.common.bodies import Support, create_solid
 from benchmarks.common.pages import Fields, groups
 from benchmarks.common.plots import COLOURS, curve, picture
-from benchmarks.common.records import Record
+from benchmarks.common.records import Record, Records
 from benchmarks.common.study import Arguments, Keep, Study
 from benchmarks.common.walls.problem import tube_fibres
 from dolfinx_feti import NonlinearProblem, kinematics, loads, materials
@@ -41,23 +41,26 @@ from dolfinx_feti.meshes.arguments import count
 from dolfinx_feti.meshes.bricks import create_brick_tube
 from dolfinx_feti.meshes.tube import ADVENTITIA, MEDIA
 from dolfinx_feti.meshes.walls import create_tube_wall
-from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.wall import Clamp, Pressure, Spring, Wall, apply_conditions, facets
 
-LENGTH = 3.0  # mm
+#: Length of the tube [mm].
+LENGTH = 3.0
 
-KAPPA = 1000.0  # kPa
+#: κ [kPa].
+KAPPA = 1000.0
 
-PRESSURES = (20.0, 40.0, 80.0, 120.0)  # mmHg
+#: Pressures with a record [mmHg]; the last is that of an artery at systole.
+PRESSURES = (20.0, 40.0, 80.0, 120.0)
 
+#: Increments of the pressure [mmHg]: the first, and the least after failures.
 STEPS = Steps(first=10.0, least=0.1)
 
 #: Degree of the quadrature at whose points det F is evaluated: 81 points in a tetrahedron, many
 #: more than those of the forms.
-LOOK = 10
+FINE_DEGREE = 10
 
 #: Distance from the ends beyond which a cell counts as away from them: the wall's thickness [mm].
-AWAY = MEDIA + ADVENTITIA
+END_DISTANCE = MEDIA + ADVENTITIA
 
 #: Stiffness of the springs at the ends [kPa/mm], like that of soft tissue around a vessel.
 SPRINGS = 10.0
@@ -65,19 +68,30 @@ SPRINGS = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """One way to model the tube; the defaults are P2–P0 on tetrahedra with clamped ends."""
+    """One way to model the tube; the defaults are P2–P0 on tetrahedra with clamped ends.
+
+    Args:
+        name: Name on the page.
+        quadrature: Degree of the quadrature of the forms.
+        pressures: Family and degree of the pressure.
+        has_bubbles: Whether the displacement has bubbles in the cells.
+        has_hexahedra: Whether the cells are hexahedra, or else tetrahedra.
+        ends: ``clamped``, on ``springs``, or ``sliding`` in their planes.
+        fineness: Cells along and around, relative to those of ``--along``.
+        shortening: Length of the cells in the middle over that of the cells at the ends.
+    """
 
     name: str
-    quadrature: int = 4  # degree
+    quadrature: int = 4
     pressures: tuple[str, int] = ("DG", 0)
-    bubbles: bool = False
-    hexahedra: bool = False
+    has_bubbles: bool = False
+    has_hexahedra: bool = False
     ends: str = "clamped"
-    fineness: float = 1.0  # cells in each direction, relative to --along
-    layers: int = 1  # cells through the wall, relative to three
-    shortening: float = 1.0  # length of the cells in the middle over that at the ends
+    fineness: float = 1.0
+    shortening: float = 1.0
 
 
+#: Compared ways, by their key in a record.
 WAYS = {
     "clamped": Way("P2–P0"),
     "degree-6": Way("quadrature of degree 6", quadrature=6),
@@ -85,16 +99,16 @@ WAYS = {
     "shorter": Way("cells at the ends 3 times shorter", shortening=3.0),
     "finer": Way("cells 1.5 times finer, along and around", fineness=1.5),
     "bubbles": Way(
-        "P2⁺–P1disc, coarser", quadrature=6, pressures=("DG", 1), bubbles=True, fineness=0.625
+        "P2⁺–P1disc, coarser", quadrature=6, pressures=("DG", 1), has_bubbles=True, fineness=0.625
     ),
     "bubbles-same-mesh": Way(
-        "P2⁺–P1disc, the same mesh", quadrature=6, pressures=("DG", 1), bubbles=True
+        "P2⁺–P1disc, the same mesh", quadrature=6, pressures=("DG", 1), has_bubbles=True
     ),
-    "hexahedra": Way("Q2–P1disc", pressures=("DPC", 1), hexahedra=True),
+    "hexahedra": Way("Q2–P1disc", pressures=("DPC", 1), has_hexahedra=True),
     "springs": Way("P2–P0, ends on springs", ends="springs"),
     "sliding": Way("P2–P0, ends that slide", ends="sliding"),
     "hexahedra-springs": Way(
-        "Q2–P1disc, ends on springs", pressures=("DPC", 1), hexahedra=True, ends="springs"
+        "Q2–P1disc, ends on springs", pressures=("DPC", 1), has_hexahedra=True, ends="springs"
     ),
 }
 
@@ -109,74 +123,80 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
         yield {"way": way, "along": args.along, "processes": comm.size}
 
 
-def _done(case: Record, records: object, _args: Arguments) -> bool:
-    return all(records.all(case | {"pressure_mmhg": p}) for p in PRESSURES)
+def _is_done(case: Record, records: Records, _args: Arguments) -> bool:
+    """Return True if each of the pressures has a record."""
+    return all(records.all(case | {"pressure_mmhg": pressure}) for pressure in PRESSURES)
 
 
 def _run(case: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     """Inflate the tube; keep a record for each pressure. Collective."""
-    way = WAYS[str(case["way"])]
-    wall = _mesh(way, int(case["along"]), comm)
+    way = WAYS[case["way"]]
+    wall = _create_wall(way, case["along"], comm)
     mesh = wall.mesh
     artery = materials.ArteryParameters()
     a1, a2 = tube_fibres(mesh)
     element = basix.ufl.element("Lagrange", mesh.basix_cell(), 2)
+
+    def energy(C: Expr, J: Expr) -> Expr:
+        return materials.holzapfel_gasser_ogden(
+            C, a1, a2, c=artery.c, k1=artery.k1, k2=artery.k2, J=J
+        )
+
     solid = create_solid(
         mesh,
-        lambda C, J: materials.holzapfel_gasser_ogden(
-            C, a1, a2, c=artery.c, k1=artery.k1, k2=artery.k2, J=J
-        ),
+        energy,
         kappa=KAPPA,
-        held=[
+        supports=[
             (0, facets(wall, "symmetry_x")),
             (1, facets(wall, "symmetry_y")),
-            *_slides(way, wall),
+            *_sliding_ends(way, wall),
         ],
         degree=way.quadrature // 2,
-        element=quadratic_with_bubbles("tetrahedron") if way.bubbles else element,
+        element=quadratic_with_bubbles("tetrahedron") if way.has_bubbles else element,
         pressures=way.pressures,
     )
     u = solid.u
     p = solid.p
-    conditions = {"lumen": Pressure(), **_ends(way)}
-    boundary = apply_conditions(wall, u, conditions)
-    v = ufl.TestFunction(u.function_space)
-    q = ufl.TestFunction(p.function_space)
-    inside = ufl.derivative(solid.energy, u, v)
+    boundary = apply_conditions(wall, u, {"lumen": Pressure(), **_end_conditions(way)})
     problem = NonlinearProblem(
-        [inside + boundary.residual, ufl.derivative(solid.energy, p, q)],
+        solid.energy,
         u,
-        bcs=[*solid.bcs, *boundary.bcs],
-        J=ufl.derivative(inside, u, ufl.TrialFunction(u.function_space)) + boundary.tangent,
+        bcs=solid.bcs,
         condense=p,
-        energy=None if boundary.energy is None else solid.energy + boundary.energy,
+        boundary=boundary,
         quadrature_degree=way.quadrature,
     )
 
-    def set_load(mmhg: float) -> None:
-        boundary.pressure.value = loads.mmhg(mmhg)
+    def set_pressure(mmhg: float) -> None:
+        boundary.set_pressure(loads.mmhg(mmhg))
 
-    look = _Look(wall, u)
+    volume_ratios = _VolumeRatios(wall, u)
     steps: list[LoadStep] = []
-    begun = time.process_time()
+    started = time.process_time()
 
     def report(step: LoadStep) -> None:
         steps.append(step)
         if step.load in PRESSURES:
-            newton = [each for load_step in steps for each in load_step.all_steps]
+            newton_steps = [newton for load_step in steps for newton in load_step.all_steps]
             cost = {
                 "load_steps": len(steps),
-                "newton": len(newton),
-                "iterations": sum(each.linear_iterations for each in newton),
-                "cpu_seconds": comm.allreduce(time.process_time() - begun),
+                "newton": len(newton_steps),
+                "iterations": sum(newton.linear_iterations for newton in newton_steps),
+                "cpu_seconds": comm.allreduce(time.process_time() - started),
             }
-            keep({"pressure_mmhg": step.load}, look.measure(problem) | cost)
+            keep({"pressure_mmhg": step.load}, volume_ratios.measure(problem) | cost)
 
-    follow_load(problem, set_load, PRESSURES, STEPS, state=[u, p], on_step=report, unit="mmHg")
+    follow_load(problem, set_pressure, PRESSURES, STEPS, state=[u, p], on_step=report, unit="mmHg")
 
 
-def _mesh(way: Way, along: int, comm: MPI.Comm) -> Wall:
-    """Mesh a quarter of the tube, with shorter cells at its ends if the way says so."""
+def _create_wall(way: Way, along: int, comm: MPI.Comm) -> Wall:
+    """Mesh a quarter of the tube. Collective.
+
+    Args:
+        way: Its cells, fineness and shortening.
+        along: Cells along the axis at the fineness 1.
+        comm: Communicator.
+    """
     cells = round(way.fineness * along)
     shape = {
         "length": LENGTH,
@@ -185,7 +205,7 @@ def _mesh(way: Way, along: int, comm: MPI.Comm) -> Wall:
         "along": cells,
         "through": (2, 1),
     }
-    if way.hexahedra:
+    if way.has_hexahedra:
         wall = create_brick_tube(comm, size=LENGTH / cells, order=1, **shape)
     else:
         wall = create_tube_wall(comm, **shape)
@@ -197,23 +217,23 @@ def _mesh(way: Way, along: int, comm: MPI.Comm) -> Wall:
     return wall
 
 
-def _slides(way: Way, wall: Wall) -> list[tuple[int, Array]]:
-    """Return the ends, held along the axis, if they slide."""
+def _sliding_ends(way: Way, wall: Wall) -> list[Support]:
+    """Return the axial support of both ends if they slide, or else nothing."""
     if way.ends != "sliding":
         return []
     return [(2, facets(wall, end)) for end in ("opening_1", "opening_2")]
 
 
-def _ends(way: Way) -> dict[str, Clamp | Spring]:
-    """Return the conditions at the ends."""
-    held = {"clamped": Clamp(), "springs": Spring(SPRINGS, direction="all")}
+def _end_conditions(way: Way) -> dict[str, Clamp | Spring]:
+    """Return the condition of each end that is clamped or on springs."""
+    conditions = {"clamped": Clamp(), "springs": Spring(SPRINGS, direction="all")}
     if way.ends == "sliding":
         return {}
-    return dict.fromkeys(("opening_1", "opening_2"), held[way.ends])
+    return dict.fromkeys(("opening_1", "opening_2"), conditions[way.ends])
 
 
-class _Look:
-    """det F at the points of a quadrature of high degree in the owned cells."""
+class _VolumeRatios:
+    """det F of the owned cells at the points of a quadrature of degree FINE_DEGREE."""
 
     def __init__(self, wall: Wall, u: dolfinx.fem.Function) -> None:
         mesh = wall.mesh
@@ -221,9 +241,9 @@ class _Look:
         self._u = u
         self._cells = np.arange(mesh.topology.index_map(3).size_local, dtype=np.int32)
         z = dolfinx.mesh.compute_midpoints(mesh, 3, self._cells)[:, 2]
-        self._is_away = np.minimum(z, LENGTH - z) > AWAY
+        self._is_away = np.minimum(z, LENGTH - z) > END_DISTANCE
         J = kinematics.jacobian(kinematics.deformation_gradient(u))
-        points, _ = basix.make_quadrature(mesh.basix_cell(), LOOK)
+        points, _ = basix.make_quadrature(mesh.basix_cell(), FINE_DEGREE)
         self._expression = dolfinx.fem.Expression(J, points)
 
     def measure(self, problem: NonlinearProblem) -> Record:
@@ -237,8 +257,9 @@ class _Look:
         values = np.asarray(values).reshape(len(self._cells), -1)
         least = values.min(axis=1)
         greatest = values.max(axis=1)
-        found = problem.cell_volumes()
-        away = least[self._is_away], greatest[self._is_away]
+        reported = problem.cell_volumes()
+        least_away = least[self._is_away]
+        greatest_away = greatest[self._is_away]
         return {
             "dofs": dofmap.index_map.size_global * dofmap.index_map_bs,
             "cells": comm.allreduce(len(self._cells)),
@@ -246,10 +267,10 @@ class _Look:
             "greatest": comm.allreduce(float(greatest.max(initial=-np.inf)), op=MPI.MAX),
             "inverted": comm.allreduce(int((least <= 0.0).sum())),
             "distorted": comm.allreduce(int(((least < 0.5) | (greatest > 2.0)).sum())),
-            "least_away": comm.allreduce(float(away[0].min(initial=np.inf)), op=MPI.MIN),
-            "greatest_away": comm.allreduce(float(away[1].max(initial=-np.inf)), op=MPI.MAX),
-            "found_inverted": found.inverted,
-            "found_distorted": found.distorted,
+            "least_away": comm.allreduce(float(least_away.min(initial=np.inf)), op=MPI.MIN),
+            "greatest_away": comm.allreduce(float(greatest_away.max(initial=-np.inf)), op=MPI.MAX),
+            "found_inverted": reported.inverted,
+            "found_distorted": reported.distorted,
         }
 
 
@@ -257,16 +278,21 @@ def _fields(records: Sequence[Record]) -> Fields:
     """Return a table for each pressure, the highest first, a row for each way in their order."""
     order = list(WAYS)
     rows = [
-        {
-            **record,
-            "name": WAYS[str(record["way"])].name,
-            "share": record["distorted"] / record["cells"],
-        }
+        {**record, "name": WAYS[record["way"]].name, "share": record["distorted"] / record["cells"]}
         for record in records
     ]
     rows.sort(key=lambda row: (-row["pressure_mmhg"], order.index(row["way"])))
-    tables = [{"mmhg": mmhg, "rows": mine} for (mmhg,), mine in groups(rows, "pressure_mmhg")]
-    return {"pressures": tables, "kappa": KAPPA, "look": LOOK, "away": AWAY, "springs": SPRINGS}
+    tables = [
+        {"mmhg": mmhg, "rows": of_pressure}
+        for (mmhg,), of_pressure in groups(rows, "pressure_mmhg")
+    ]
+    return {
+        "pressures": tables,
+        "kappa": KAPPA,
+        "look": FINE_DEGREE,
+        "away": END_DISTANCE,
+        "springs": SPRINGS,
+    }
 
 
 #: The ways of the picture: their names there, and how they are drawn.
@@ -283,20 +309,20 @@ DRAWN = {
 
 def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
     """Draw the distorted cells, and the least det F away from the ends, over the pressure."""
-    known = {record["way"] for record in records}
-    drawn = {way: named for way, named in DRAWN.items() if way in known}
+    recorded = {record["way"] for record in records}
+    drawn = {way: named for way, named in DRAWN.items() if way in recorded}
     if not drawn:
         return []
     with picture(folder / "distorted_cells.png", 1, 2, dict(drawn.values())) as axes:
         share, away = axes[0]
         for way, (_, style) in drawn.items():
-            mine = sorted(
+            of_way = sorted(
                 (record for record in records if record["way"] == way),
-                key=lambda record: float(record["pressure_mmhg"]),
+                key=lambda record: record["pressure_mmhg"],
             )
-            pressures = [float(record["pressure_mmhg"]) for record in mine]
-            shares = [100.0 * record["distorted"] / record["cells"] for record in mine]
-            least = [float(record["least_away"]) for record in mine]
+            pressures = [record["pressure_mmhg"] for record in of_way]
+            shares = [100.0 * record["distorted"] / record["cells"] for record in of_way]
+            least = [record["least_away"] for record in of_way]
             curve(share, list(zip(pressures, shares, strict=True)), **style)
             curve(away, list(zip(pressures, least, strict=True)), **style)
         share.set(xlabel="pressure [mmHg]", ylabel="distorted cells [%]")
@@ -316,7 +342,7 @@ STUDY = Study(
     options=_options,
     cases=_cases,
     run=_run,
-    done=_done,
+    done=_is_done,
     fields=_fields,
     draw=_draw,
 )

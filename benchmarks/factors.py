@@ -174,8 +174,8 @@ def measure_mumps(cube: Cube, task: str, rounds: int) -> tuple[Factor, Array, Re
 
 def _run(case: Record, keep: Keep, args: Arguments, _: MPI.Comm) -> None:
     """Factor and solve, and compare the solution with its right-hand side."""
-    task = str(case["task"])
-    cube = create_cube(int(str(case["cells"])))
+    task = case["task"]
+    cube = create_cube(case["cells"])
     measure = measure_mumps if case["method"] == "mumps" else measure_multifrontal
     factor, S, times = measure(cube, task, args.rounds)
     n = len(cube.interior) if task == "eliminate" else cube.K.getSize()[0]
@@ -211,7 +211,7 @@ def _fields(records: Sequence[Record]) -> Fields:
     """Return a row for each size and task, with the quotients of MUMPS and the fronts."""
     rows = []
     for (cells, task), same in groups(records, "cells", "task"):
-        by_method: dict[str, Any] = {str(r["method"]): r for r in same}
+        by_method: dict[str, Any] = {r["method"]: r for r in same}
         if set(by_method) != set(METHODS):
             continue
         own = by_method["multifrontal"]

@@ -207,7 +207,7 @@ def _summary(steps: Sequence[Record]) -> dict[str, object]:
 
 
 def _variant(step: Record) -> str:
-    return DIRECT if step["subdomains"] == 1 else str(step["type"]).replace("_", "-")
+    return DIRECT if step["subdomains"] == 1 else step["type"].replace("_", "-")
 
 
 def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:

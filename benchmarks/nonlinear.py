@@ -86,7 +86,7 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
             case = dict(zip(NAMES, each, strict=True))
             size, subdomains, pressure = WALLS[case["geometry"]]
             yield case | {
-                "kappa": float(case["kappa"]),
+                "kappa": case["kappa"],
                 "size": args.size or size,
                 "subdomains": args.subdomains or subdomains,  # before a rim is cut off
                 "pressure": args.pressure or pressure,
@@ -100,17 +100,17 @@ def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
     If Newton's method fails, the record has the reason as ``failure``.
     """
     folder = writable_folder(args.folder, comm)
-    wall, _ = open_wall(str(case["geometry"]), comm, size=case["size"], folder=folder)
-    part = first_step.partition(wall, int(case["subdomains"]), str(case["contact"]))
+    wall, _ = open_wall(case["geometry"], comm, size=case["size"], folder=folder)
+    part = first_step.partition(wall, case["subdomains"], case["contact"])
     own = {"feti_type": case["type"], "feti_pc_type": case["pc"]}
-    own["snes_max_it"] = NEWTON_STEPS[str(case["choices"])]
+    own["snes_max_it"] = NEWTON_STEPS[case["choices"]]
     body = first_step.create(wall, case, part, own)
     ksp = body.problem.solver.getKSP()
     watch = Stopwatch(comm)
     watch.hook(ksp)
     found: Record = {}
     try:
-        first_step.load(body, case["pressure"], in_part=case["choices"] == "paper")
+        first_step.load(body, case["pressure"], allow_max_steps=case["choices"] == "paper")
     except ConvergenceError as error:
         found["failure"] = str(error)
     steps = body.problem.history
@@ -148,22 +148,22 @@ def _fields(records: Sequence[Record]) -> Fields:
 def _named(record: Record) -> Record:
     """Return a record with the names of its parameters."""
     return record | {
-        "kind": TYPES[str(record["type"])],
-        "wall": LAYERS[int(record["layers"])],
-        "chosen": CHOICES[str(record["choices"])],
+        "kind": TYPES[record["type"]],
+        "wall": LAYERS[record["layers"]],
+        "chosen": CHOICES[record["choices"]],
     }
 
 
 def _newton_step(records: Sequence[Record]) -> dict[str, object]:
     """Return a Newton step on one wall, in the paper and here, with both choices."""
     first = records[0]
-    layers = int(first["layers"])
-    degree = int(first["degree"])
+    layers = first["layers"]
+    degree = first["degree"]
     rows = []
     for (kind, kappa, pc), mine in groups(records, "type", "kappa", "pc"):
         place = list(TYPES).index(kind), kappa, PRECONDITIONERS.index(pc)
         row = _named(mine[0]) | {"place": place, "sources": mine}
-        row |= {str(r["choices"]): _cells(r) for r in mine}
+        row |= {r["choices"]: _cells(r) for r in mine}
         if theirs := _papers(mine[0]):
             its, row["their_seconds"] = theirs
             row["their_its"] = FORMS["count"](its) if its else "> 10 000"
@@ -217,7 +217,7 @@ def _contacts(records: Sequence[Record]) -> Iterator[Record]:
     touched = [r for r in records if r["contact"] != "whole"]
     names = ("geometry", "degree", "kappa", "pc", "choices", "type")
     for _, mine in sorted(groups(touched, *names), key=lambda item: item[0]):
-        yield _named(mine[0]) | {"sources": mine} | {str(r["contact"]): _cells(r) for r in mine}
+        yield _named(mine[0]) | {"sources": mine} | {r["contact"]: _cells(r) for r in mine}
 
 
 def _is_known(record: Record) -> bool:

@@ -24,9 +24,9 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx
-import ufl
+from ufl.core.expr import Expr
 
-from benchmarks.common.bodies import create_solid
+from benchmarks.common.bodies import Solid, create_solid
 from benchmarks.common.pages import Fields, section
 from benchmarks.common.records import Record
 from benchmarks.common.study import Arguments, Keep, Study
@@ -48,35 +48,40 @@ KAPPA = 1000.0
 #: Newton steps within which the page counts a wall as solved in time.
 MAX_NEWTON_STEPS = 80
 
+#: Exponent k₂ of the fibres in all layers [-], that of ``ArteryParameters``.
+K2 = 0.8393
+
+#: Names of the layers from the inside; a wall with fewer layers has the first of them.
 LAYERS = ("intima", "media", "adventitia")
 
+#: Increments of the pressure [mmHg]: the first, and the least after failures.
 STEPS = Steps(first=10.0, least=0.1)
 
 
 @dataclass(frozen=True, slots=True)
-class Chance:
+class RandomWall:
     """Parameters of a random wall."""
 
-    branches: int
-    sac: bool
+    branches: int  # openings of the lumen: 2 for a bent tube, 3 for a bifurcation
+    has_sac: bool
     thickness: float  # mm
     layers: tuple[str, ...]
     c: tuple[float, ...]  # of each layer [kPa]
     k1: tuple[float, ...]  # of each layer [kPa]
     angles: tuple[float, ...]  # of the fibres of each layer [degrees]
-    plaque: float  # how many times as stiff; 1 for none
+    plaque: float  # stiffness of the plaque over that of its layer; 1 without a plaque
     springs: tuple[float, ...]  # of each opening [kPa/mm]; 0 where it is clamped
 
 
-def draw(seed: int) -> Chance:
-    """Return the parameters that a seed determines."""
+def draw(seed: int) -> RandomWall:
+    """Draw the parameters of the wall of a seed."""
     random = np.random.default_rng(seed)
     branches = int(random.integers(2, 4))
     layers = int(random.integers(1, 4))
     springs = random.random(branches) < 0.4
-    return Chance(
+    return RandomWall(
         branches=branches,
-        sac=bool(random.random() < 0.5),
+        has_sac=bool(random.random() < 0.5),
         thickness=float(random.uniform(0.8, 1.1)),
         layers=LAYERS[:layers],
         c=tuple(random.uniform(10.0, 40.0, layers).tolist()),
@@ -88,62 +93,44 @@ def draw(seed: int) -> Chance:
 
 
 def inflate(seed: int, comm: MPI.Comm) -> Record:
-    """Inflate a wall from rest to its pressure; return its record. Collective."""
-    chance = draw(seed)
+    """Inflate a wall from rest to MMHG. Collective.
+
+    Args:
+        seed: Determines the wall.
+        comm: Communicator.
+
+    Returns:
+        Measured values of the record; ``error`` is the message of a failure, or empty.
+    """
     begun = time.perf_counter()
-    wall = _create(seed, chance, comm)
-    c, k1, angles = (
-        dict(zip(chance.layers, values, strict=True))
-        for values in (chance.c, chance.k1, chance.angles)
-    )
-    parameters = {"c": by_layer(wall, c), "k1": by_layer(wall, k1), "k2": 0.8393}
-    fibres = fibre_families(wall, fibre_frame(wall), angles)
-    plaque = _plaque(wall, seed, chance)
-    solid = create_solid(
-        wall.mesh,
-        lambda C, J: plaque * materials.holzapfel_gasser_ogden(C, *fibres, **parameters, J=J),
-        kappa=KAPPA,
-        held=[],
-        pressures=("DG", 0),
-    )
+    parameters = draw(seed)
+    wall = _create_wall(seed, parameters, comm)
+    solid = _create_solid(wall, seed, parameters)
     u = solid.u
     p = solid.p
-    energy = solid.energy
-    V = u.function_space
-    v = ufl.TestFunction(V)
-    q = ufl.TestFunction(p.function_space)
-    held = {
+    supports = {
         name: Spring(stiffness, direction="all") if stiffness else Clamp()
-        for name, stiffness in zip(openings(wall), chance.springs, strict=True)
+        for name, stiffness in zip(openings(wall), parameters.springs, strict=True)
     }
-    boundary = apply_conditions(wall, u, {"lumen": Pressure(), **held})
-    inside = ufl.derivative(energy, u, v)
-    problem = NonlinearProblem(
-        [inside + boundary.residual, ufl.derivative(energy, p, q)],
-        u,
-        bcs=boundary.bcs,
-        J=ufl.derivative(inside, u, ufl.TrialFunction(V)) + boundary.tangent,
-        condense=p,
-        energy=None if boundary.energy is None else energy + boundary.energy,
-        quadrature_degree=4,
-    )
+    boundary = apply_conditions(wall, u, {"lumen": Pressure(), **supports})
+    problem = NonlinearProblem(solid.energy, u, condense=p, boundary=boundary, quadrature_degree=4)
 
-    def set_load(mmhg: float) -> None:
-        boundary.pressure.value = loads.mmhg(mmhg)
+    def set_pressure(mmhg: float) -> None:
+        boundary.set_pressure(loads.mmhg(mmhg))
 
     steps: list[LoadStep] = []
     error = ""
     try:
         follow_load(
-            problem, set_load, [MMHG], STEPS, state=[u, p], on_step=steps.append, unit="mmHg"
+            problem, set_pressure, [MMHG], STEPS, state=[u, p], on_step=steps.append, unit="mmHg"
         )
     except ConvergenceError as failure:
         error = str(failure)
     newton = [step for load_step in steps for step in load_step.all_steps]
     largest = np.linalg.norm(u.x.array.reshape(-1, 3), axis=1).max(initial=0.0)
     return {
-        "wall": _describe(chance),
-        "dofs": 3 * V.dofmap.index_map.size_global,
+        "wall": _describe(parameters),
+        "dofs": 3 * u.function_space.dofmap.index_map.size_global,
         "subdomains": comm.allreduce(problem.decomposition.count),
         "reached": steps[-1].load if steps else 0.0,
         "load_steps": len(steps),
@@ -155,57 +142,78 @@ def inflate(seed: int, comm: MPI.Comm) -> Record:
     }
 
 
-def _create(seed: int, chance: Chance, comm: MPI.Comm) -> Wall:
-    """Grow the wall on its lumen, on the first process, and distribute it."""
+def _create_solid(wall: Wall, seed: int, parameters: RandomWall) -> Solid:
+    """Create the fibre-reinforced body of a wall, with the stiffness of each layer and a plaque."""
+    c, k1, angles = (
+        dict(zip(parameters.layers, values, strict=True))
+        for values in (parameters.c, parameters.k1, parameters.angles)
+    )
+    stiffness = {"c": by_layer(wall, c), "k1": by_layer(wall, k1), "k2": K2}
+    fibres = fibre_families(wall, fibre_frame(wall), angles)
+    plaque = _plaque_factor(wall, seed, parameters)
+
+    def energy(C: Expr, J: Expr) -> Expr:
+        return plaque * materials.holzapfel_gasser_ogden(C, *fibres, **stiffness, J=J)
+
+    return create_solid(wall.mesh, energy, kappa=KAPPA, supports=[], pressures=("DG", 0))
+
+
+def _create_wall(seed: int, parameters: RandomWall, comm: MPI.Comm) -> Wall:
+    """Mesh the wall around its lumen on the first process, and distribute it. Collective."""
 
     def write(path: Path) -> None:
         surface = path.with_suffix(".stl")
         random = np.random.default_rng([seed, 1])
-        write_random_lumen(surface, random, branches=chance.branches, has_sac=chance.sac)
+        write_random_lumen(
+            surface, random, branches=parameters.branches, has_sac=parameters.has_sac
+        )
         write_vessel(
             path,
-            size=1.6 * chance.thickness,
-            thickness=chance.thickness,
-            layers=dict.fromkeys(chance.layers, 1 / len(chance.layers)),
+            size=1.6 * parameters.thickness,
+            thickness=parameters.thickness,
+            layers=dict.fromkeys(parameters.layers, 1 / len(parameters.layers)),
             surface=surface,
         )
 
     return generate_wall(write, comm)
 
 
-def _plaque(wall: Wall, seed: int, chance: Chance) -> dolfinx.fem.Function:
-    """Return the stiffness of each cell relative to that of its layer."""
+def _plaque_factor(wall: Wall, seed: int, parameters: RandomWall) -> dolfinx.fem.Function:
+    """Return the stiffness of each cell over that of its layer.
+
+    The plaque is a ball of a random radius. Its centre lies 2.5 mm off the z axis, at z = 2 mm.
+    """
     factor = dolfinx.fem.Function(dolfinx.fem.functionspace(wall.mesh, ("DG", 0)))
     random = np.random.default_rng([seed, 2])
     angle = random.uniform(0.0, 2 * np.pi)
     radius = random.uniform(1.5, 2.5)
-    middle = 2.5 * np.array([np.cos(angle), np.sin(angle), 0.0]) + [0.0, 0.0, 2.0]
+    centre = np.array([2.5 * np.cos(angle), 2.5 * np.sin(angle), 2.0])
 
-    def near(x: np.ndarray) -> np.ndarray:
-        inside = np.linalg.norm(x.T - middle, axis=1) < radius
-        return np.where(inside, chance.plaque, 1.0)
+    def stiffness(x: np.ndarray) -> np.ndarray:
+        is_plaque = np.linalg.norm(x.T - centre, axis=1) < radius
+        return np.where(is_plaque, parameters.plaque, 1.0)
 
-    factor.interpolate(near)
+    factor.interpolate(stiffness)
     return factor
 
 
-def _describe(chance: Chance) -> str:
+def _describe(parameters: RandomWall) -> str:
     """Return the parameters of a wall in words."""
-    words = ["bent tube" if chance.branches == 2 else "bifurcation"]
-    if chance.sac:
+    words = ["bent tube" if parameters.branches == 2 else "bifurcation"]
+    if parameters.has_sac:
         words.append("a sac")
-    words.append(f"{len(chance.layers)} layers" if len(chance.layers) > 1 else "1 layer")
-    if chance.plaque > 1:
-        words.append(f"a plaque {chance.plaque:.0f} times stiffer")
-    on_springs = sum(k > 0 for k in chance.springs)
+    words.append(f"{len(parameters.layers)} layers" if len(parameters.layers) > 1 else "1 layer")
+    if parameters.plaque > 1:
+        words.append(f"a plaque {parameters.plaque:.0f} times stiffer")
+    on_springs = sum(k > 0 for k in parameters.springs)
     if on_springs:
-        words.append(f"{on_springs} of {chance.branches} openings on springs")
+        words.append(f"{on_springs} of {parameters.branches} openings on springs")
     return ", ".join(words)
 
 
 def _fields(records: Sequence[Record]) -> Fields:
     """Return a row for each seed, in their order."""
-    rows = sorted(records, key=lambda record: int(record["seed"]))
+    rows = sorted(records, key=lambda record: record["seed"])
     failed = [row for row in rows if row["error"]]
     return {
         "rows": rows,
@@ -218,7 +226,7 @@ def _fields(records: Sequence[Record]) -> Fields:
 
 
 def _is_known(record: Record) -> bool:
-    return "seed" in record and "wall" in record
+    return {"seed", "wall", "largest_displacement"} <= record.keys()
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
@@ -231,8 +239,8 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
 
 
 def _run(case: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
-    """Inflate a wall. Collective."""
-    keep({}, inflate(int(case["seed"]), comm))
+    """Inflate the wall of a case and keep its record. Collective."""
+    keep({}, inflate(case["seed"], comm))
 
 
 STUDY = Study(

@@ -262,7 +262,7 @@ def _times(series: _Series) -> Iterator[dict[str, object]]:
     """Yield seconds and efficiencies of the measured cases, and the seconds of the model."""
     every = [{part: r[f"seconds_{part}"] for part in SHOWN} for r in series.measured]
     for r, s in zip(series.measured, every, strict=True):
-        P = int(r["processes"])
+        P = r["processes"]
         first = series.measured[0]["processes"]
         foreseen = series.model.predict(P) if series.model else {}
         yield {"P": P, "s": s, "eff": _efficiencies(first, every[0], P, s), "model": foreseen}

@@ -27,8 +27,9 @@ from dolfinx_feti.mechanics.residual_stress import elastic_part
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.scotch import repeatable_partitions
 
+#: Poisson's ratio of the compressible bodies, and shear modulus of all bodies but walls [kPa].
 POISSON = 0.3
-SHEAR_MODULUS = 1.0  # kPa
+SHEAR_MODULUS = 1.0
 
 #: Width over length of a plate.
 PLATE_WIDTH = 0.6
@@ -37,49 +38,78 @@ PLATE_WIDTH = 0.6
 INCLUSION_RADIUS = 0.12
 INCLUSIONS_PER_EDGE = 3
 
-#: A component of the displacement, or all of them (None), that is zero, and the facets where it is.
-Held = tuple[int | None, Indices]
+#: A component of the displacement, or None for all of them, and the facets where it is zero.
+Support = tuple[int | None, Indices]
 
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """Displacement u [mm], pressure p [kPa], Dirichlet conditions, and stored energy [mN mm]."""
+    """A body without loads.
+
+    Attributes:
+        u: Displacement [mm].
+        p: Pressure [kPa].
+        bcs: Dirichlet conditions.
+        energy: Stored energy [mN mm].
+        stress: Cauchy stress σ [kPa], (3, 3).
+    """
 
     u: dolfinx.fem.Function
     p: dolfinx.fem.Function
     bcs: list[dolfinx.fem.DirichletBC]
     energy: ufl.Form
-    stress: Expr  # Cauchy's σ [kPa]
+    stress: Expr
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A body: its unknowns, residuals (tested with v and q), supports, problem and load."""
+    """A loaded body and its problem.
+
+    Attributes:
+        u: Displacement [mm].
+        p: Pressure field [kPa].
+        residuals: r_u and r_p, tested with v and q.
+        supports: Components that are zero, and their facets.
+        problem: The problem, with condensed p.
+        load_factor: Factor of the pressure or force that :func:`create_body` was given.
+        stress: Cauchy stress σ [kPa], (3, 3).
+        measure: Returns the compared quantities of the present u and p by name. Collective.
+        unit: Load factor for a value of 1 in :meth:`set_load` and :meth:`inflate`.
+    """
 
     u: dolfinx.fem.Function
     p: dolfinx.fem.Function
     residuals: tuple[ufl.Form, ufl.Form]
-    held: Sequence[Held]
+    supports: Sequence[Support]
     problem: NonlinearProblem
-    load: dolfinx.fem.Constant  # share of the load that create_body was given
-    stress: Expr  # Cauchy's σ [kPa]
-    measure: Callable[[], dict[str, float]]  # of the state in u and p; collective
-    unit: float = 1.0  # share of the load for a value of 1 in set_load and inflate
+    load_factor: dolfinx.fem.Constant
+    stress: Expr
+    measure: Callable[[], dict[str, float]]
+    unit: float = 1.0
 
     @property
     def dofs(self) -> int:
-        """Displacement dofs."""
+        """Number of displacement dofs."""
         dofmap = self.u.function_space.dofmap
         return dofmap.index_map.size_global * dofmap.index_map_bs
 
     def set_load(self, value: float) -> None:
-        """Set the load, in its unit."""
-        self.load.value = value * self.unit
+        """Set the load, in its unit: for walls mmHg."""
+        self.load_factor.value = value * self.unit
 
-    def inflate(self, to: Sequence[float], steps: Steps, **settings: object) -> list[LoadStep]:
-        """Follow the load to each of the values ``to``, in units; see ``follow_load``."""
+    def inflate(self, targets: Sequence[float], steps: Steps, **settings: object) -> list[LoadStep]:
+        """Follow the load to each of the targets; see ``follow_load``. Collective.
+
+        Args:
+            targets: Loads that are met exactly, in the body's unit.
+            steps: Increments, in the same unit, and tolerances.
+            settings: Further arguments of ``follow_load``.
+
+        Returns:
+            The accepted load steps.
+        """
         state = [self.u, self.p]
-        return follow_load(self.problem, self.set_load, to, steps, state=state, **settings)
+        return follow_load(self.problem, self.set_load, targets, steps, state=state, **settings)
 
 
 def create_solid(
@@ -87,7 +117,7 @@ def create_solid(
     energy: Callable[[Expr, Expr], Expr],
     *,
     kappa: float,
-    held: Sequence[Held],
+    supports: Sequence[Support],
     degree: int = 2,
     element: basix.ufl._ElementBase | None = None,
     pressures: tuple[str, int] = ("DPC", 1),
@@ -99,7 +129,7 @@ def create_solid(
         mesh: Mesh of the body.
         energy: Ψ(C, J) [kPa].
         kappa: κ [kPa].
-        held: Components of u, or all of them (None), that are zero, and their facets.
+        supports: Components of u, or all of them (None), that are zero, and their facets.
         degree: k of P_k or Q_k; the quadrature has the degree 2 k.
         element: Element of each component of u, in place of P_k or Q_k.
         pressures: Family and degree of the pressure.
@@ -115,7 +145,7 @@ def create_solid(
     J = kinematics.jacobian(E)
     psi = energy(C, J) + materials.perturbed_lagrangian(J, p, dolfinx.fem.Constant(mesh, kappa))
     stored = psi * ufl.dx(metadata={"quadrature_degree": 2 * degree})
-    bcs = [hold(V, component, facets) for component, facets in held]
+    bcs = [create_zero_bc(V, component, facets) for component, facets in supports]
     return Solid(u, p, bcs, stored, kinematics.cauchy_stress(psi, F))
 
 
@@ -123,84 +153,102 @@ def create_body(
     mesh: dolfinx.mesh.Mesh,
     energy: Callable[[Expr, Expr, Expr], Expr],
     *,
-    held: Sequence[Held],
+    supports: Sequence[Support],
     loaded: Indices,
-    load: float | Sequence[float] = 1.0,
+    pressure: float | None = None,
+    force: Sequence[float] | None = None,
     measure: Callable[[dolfinx.fem.Function], dict[str, float]] = lambda _u: {},
-    grip: float = 0.0,
+    flatness_penalty: float = 0.0,
     degree: int = 2,
     tangent: loads.TangentKind = "auto",
-    lumen: bool = False,
+    use_pressure_potential: bool = False,
     axis: tuple[float, float, float] | None = None,
     settings: Mapping[str, object] | None = None,
-    **solid: object,
+    **solid_settings: object,
 ) -> Body:
-    """Build a body whose energy is made of C, J and the share of the load [kPa].
+    """Build a body under a pressure, a force, or both, whose load factor is zero at first.
 
     Args:
         mesh: Mesh of the body.
-        energy: Ψ(C, J, share of the load) [kPa].
-        held: Components of u, or all of them (None), that are zero, and their facets.
+        energy: Ψ(C, J, load factor) [kPa].
+        supports: Components of u, or all of them (None), that are zero, and their facets.
         loaded: Facets under the load, sorted.
-        load: A pressure that follows the surface, which has to be a float, or a force per
-            reference area, (3,) [kPa]. Both are multiplied by the share of the load.
-        measure: Returns from u the quantities that are compared.
-        grip: Factor of a penalty ½ grip ‖∂u/∂X‖² [kPa mm] that keeps the loaded surface flat.
-        degree: Of the displacement; the quadrature has twice that degree.
+        pressure: Pressure on the deformed surface at the load factor 1 [kPa].
+        force: Force per reference area at the load factor 1, (3,) [kPa].
+        measure: Returns the compared quantities of u by name.
+        flatness_penalty: Factor a of a penalty ½ a ‖∂u/∂X‖² [kPa mm] along the loaded surface,
+            which keeps it flat.
+        degree: Degree of the displacement; the quadrature has twice that degree.
         tangent: Which part of the pressure's derivative the tangent has.
-        lumen: Whether the line search uses the potential of the pressure in a lumen whose ends
-            slide along the axis. That of a force per area is always used.
+        use_pressure_potential: Whether the line search uses the potential of the pressure, which
+            there is in a lumen whose ends slide along the axis. That of a force is always used.
         axis: Axis of the lumen.
         settings: Further arguments of the problem.
-        solid: Further arguments of :func:`create_solid`.
+        solid_settings: Further arguments of :func:`create_solid`.
     """
-    share = dolfinx.fem.Constant(mesh, 0.0)
-    made = create_solid(mesh, lambda C, J: energy(C, J, share), held=held, degree=degree, **solid)
-    u = made.u
-    p = made.p
-    bcs = made.bcs
-    potential = made.energy
+    load_factor = dolfinx.fem.Constant(mesh, 0.0)
+    solid = create_solid(
+        mesh,
+        lambda C, J: energy(C, J, load_factor),
+        supports=supports,
+        degree=degree,
+        **solid_settings,
+    )
+    u = solid.u
+    p = solid.p
     v = ufl.TestFunction(u.function_space)
     q = ufl.TestFunction(p.function_space)
     du = ufl.TrialFunction(u.function_space)
-    metadata = {"quadrature_degree": 2 * degree}
     tags = dolfinx.mesh.meshtags(mesh, 2, loaded, np.ones(len(loaded), dtype=np.int32))
+    metadata = {"quadrature_degree": 2 * degree}
     ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata=metadata)(1)
-    if grip:
+    potential = solid.energy
+    if flatness_penalty:
         N = ufl.FacetNormal(mesh)
-        along = ufl.grad(u) - ufl.outer(ufl.grad(u) * N, N)
-        potential += grip / 2 * ufl.inner(along, along) * ds
-    follows = isinstance(load, float)
-    if not follows:
-        potential -= share * ufl.dot(ufl.as_vector(load), u) * ds
+        along_surface = ufl.grad(u) - ufl.outer(ufl.grad(u) * N, N)
+        potential += flatness_penalty / 2 * ufl.inner(along_surface, along_surface) * ds
+    if force is not None:
+        potential -= load_factor * ufl.dot(ufl.as_vector(force), u) * ds
     F_u = ufl.derivative(potential, u, v)
+    F_p = ufl.derivative(potential, p, q)
     K = ufl.derivative(F_u, u, du)
-    residual_p = ufl.derivative(potential, p, q)
-    if follows:
-        F_u += loads.follower_pressure(load * share, u, v, ds)
-        K += loads.follower_pressure_tangent(load * share, u, v, du, ds, tangent, bcs=bcs)
-    if lumen:
-        potential += loads.pressure_potential(load * share, u, ds, axis=axis)
+    if pressure is not None:
+        present = pressure * load_factor
+        F_u += loads.follower_pressure(present, u, v, ds)
+        K += loads.follower_pressure_tangent(present, u, v, du, ds, tangent, bcs=solid.bcs)
+        if use_pressure_potential:
+            potential += loads.pressure_potential(present, u, ds, axis=axis)
+    has_potential = pressure is None or use_pressure_potential
     problem = NonlinearProblem(
-        (F_u, residual_p),
+        (F_u, F_p),
         u,
-        bcs=bcs,
+        bcs=solid.bcs,
         J=K,
         condense=p,
-        energy=potential if lumen or not follows else None,
+        energy=potential if has_potential else None,
         quadrature_degree=2 * degree,
         **(settings or {}),
     )
-    return Body(u, p, (F_u, residual_p), held, problem, share, made.stress, lambda: measure(u))
+    return Body(
+        u=u,
+        p=p,
+        residuals=(F_u, F_p),
+        supports=supports,
+        problem=problem,
+        load_factor=load_factor,
+        stress=solid.stress,
+        measure=lambda: measure(u),
+    )
 
 
-def create_neo_hookean(
+def create_neo_hookean_cube(
     mesh: dolfinx.mesh.Mesh,
     *,
     kappa: float,
-    held: Sequence[Indices],
-    load: float | Sequence[float],
+    clamped: Sequence[Indices],
     degree: int = 2,
+    pressure: float | None = None,
+    force: Sequence[float] | None = None,
     **settings: object,
 ) -> Body:
     """Build a neo-Hookean unit cube with P_k–P0 and a load on its face x = 1.
@@ -208,18 +256,20 @@ def create_neo_hookean(
     Args:
         mesh: Mesh of the unit cube.
         kappa: κ [kPa].
-        held: Facets of each clamped face.
-        load: A pressure, or a dead load (3,), at the share 1 of the load [kPa].
-        degree: Of the displacement.
+        clamped: Facets of each clamped face.
+        degree: Degree of the displacement.
+        pressure: Pressure at the load factor 1 [kPa].
+        force: Dead load per reference area at the load factor 1, (3,) [kPa].
         settings: Further arguments of the problem; PETSc options have the prefix ``body_``.
     """
     return create_body(
         mesh,
-        lambda C, J, _share: materials.neo_hookean(C, c=SHEAR_MODULUS, J=J),
+        lambda C, J, _load_factor: materials.neo_hookean(C, c=SHEAR_MODULUS, J=J),
         kappa=kappa,
-        held=[(None, facets) for facets in held],
-        loaded=plane(mesh, 0, 1.0),
-        load=load,
+        supports=[(None, facets) for facets in clamped],
+        loaded=facets_in_plane(mesh, 0, 1.0),
+        pressure=pressure,
+        force=force,
         degree=degree,
         pressures=("DG", 0),
         tangent="symmetric",
@@ -227,7 +277,7 @@ def create_neo_hookean(
     )
 
 
-def create_elastic(
+def create_elastic_problem(
     mesh: dolfinx.mesh.Mesh,
     *,
     degree: int,
@@ -239,9 +289,9 @@ def create_elastic(
 
     Args:
         mesh: Mesh of the body.
-        degree: Of the displacement.
+        degree: Degree of the displacement.
         shear_modulus: μ [kPa]; Poisson's ratio is 0.3.
-        clamped: Places x of the planes with u = 0.
+        clamped: Coordinates x of the planes with u = 0.
         settings: Further arguments of the problem; PETSc options have the prefix ``body_``.
     """
     dim = mesh.geometry.dim
@@ -255,14 +305,22 @@ def create_elastic(
     return LinearProblem(
         ufl.inner(stress, ufl.grad(v)) * ufl.dx,
         ufl.inner(weight, v) * ufl.dx,
-        bcs=[hold(V, None, plane(mesh, 0, x)) for x in clamped],
+        bcs=[create_zero_bc(V, None, facets_in_plane(mesh, 0, x)) for x in clamped],
         petsc_options_prefix="body_",
         **settings,
     )
 
 
-def create_heat(mesh: dolfinx.mesh.Mesh, *, degree: int, **settings: object) -> LinearProblem:
-    """Build Poisson's equation with a unit source and u = 0 at x = 0; see create_elastic."""
+def create_heat_problem(
+    mesh: dolfinx.mesh.Mesh, *, degree: int, **settings: object
+) -> LinearProblem:
+    """Build Poisson's equation with a unit source and u = 0 at x = 0.
+
+    Args:
+        mesh: Mesh of the body.
+        degree: Degree of the unknown.
+        settings: Further arguments of the problem; PETSc options have the prefix ``body_``.
+    """
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
     u = ufl.TrialFunction(V)
     v = ufl.TestFunction(V)
@@ -270,37 +328,45 @@ def create_heat(mesh: dolfinx.mesh.Mesh, *, degree: int, **settings: object) -> 
     return LinearProblem(
         ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx,
         ufl.inner(source, v) * ufl.dx,
-        bcs=[hold(V, None, plane(mesh, 0, 0.0))],
+        bcs=[create_zero_bc(V, None, facets_in_plane(mesh, 0, 0.0))],
         petsc_options_prefix="body_",
         **settings,
     )
 
 
-def create_block(
+def create_block_mesh(
     comm: MPI.Comm, lengths: Sequence[float], cells: Sequence[int]
 ) -> dolfinx.mesh.Mesh:
-    """Mesh a block from the origin with hexahedra."""
+    """Mesh a block with hexahedra.
+
+    Args:
+        comm: Communicator.
+        lengths: Lengths of the edges [mm], (3,); one corner is the origin.
+        cells: Cells along each edge, (3,).
+    """
     corners = [np.zeros(3), np.array(lengths)]
     kind = dolfinx.mesh.CellType.hexahedron
     with repeatable_partitions():
         return dolfinx.mesh.create_box(comm, corners, list(cells), cell_type=kind)
 
 
-def plane(mesh: dolfinx.mesh.Mesh, axis: int, x: float) -> Indices:
-    """Return the facets of the boundary in a plane normal to an axis."""
-    d = mesh.topology.dim - 1
-    return np.sort(dolfinx.mesh.locate_entities_boundary(mesh, d, lambda y: np.isclose(y[axis], x)))
+def facets_in_plane(mesh: dolfinx.mesh.Mesh, axis: int, coordinate: float) -> Indices:
+    """Return the facets of the boundary in a plane normal to an axis, sorted."""
+    facets = dolfinx.mesh.locate_entities_boundary(
+        mesh, mesh.topology.dim - 1, lambda x: np.isclose(x[axis], coordinate)
+    )
+    return np.sort(facets)
 
 
-def displacement(u: dolfinx.fem.Function, point: Sequence[float]) -> Array:
-    """Return the displacement of the node at a place [mm]."""
+def displacement_at(u: dolfinx.fem.Function, point: Sequence[float]) -> Array:
+    """Return the displacement of the node at a point [mm], (3,), on all processes. Collective."""
     V = u.function_space
-    here = np.linalg.norm(V.tabulate_dof_coordinates() - point, axis=1) < 1e-6
-    found = V.mesh.comm.allgather(u.x.array.reshape(-1, 3)[here])
-    return np.concatenate(found)[0]
+    is_node = np.linalg.norm(V.tabulate_dof_coordinates() - point, axis=1) < 1e-6
+    of_processes = V.mesh.comm.allgather(u.x.array.reshape(-1, 3)[is_node])
+    return np.concatenate(of_processes)[0]
 
 
-def hold(
+def create_zero_bc(
     V: dolfinx.fem.FunctionSpace, component: int | None, facets: Indices
 ) -> dolfinx.fem.DirichletBC:
     """Return the condition that a function of V, or one of its components, is zero on facets."""
@@ -310,7 +376,7 @@ def hold(
     return dolfinx.fem.dirichletbc(zero, dofs, part)
 
 
-def create_plate(
+def create_plate_mesh(
     comm: MPI.Comm, *, dofs: int, degree: int, slenderness: float
 ) -> dolfinx.mesh.Mesh:
     """Mesh a plate of one layer of hexahedra, 1 × 0.6 × 1/slenderness.
@@ -325,7 +391,7 @@ def create_plate(
     """
     n = max(2, round((dofs / (3 * PLATE_WIDTH * degree**2 * (degree + 1))) ** 0.5))
     lengths = (1.0, PLATE_WIDTH, 1.0 / slenderness)
-    return create_block(comm, lengths, (n, max(1, round(PLATE_WIDTH * n)), 1))
+    return create_block_mesh(comm, lengths, (n, max(1, round(PLATE_WIDTH * n)), 1))
 
 
 def create_unit_mesh(

@@ -131,7 +131,7 @@ def origin(records: Sequence[Record]) -> str:
         (day,) = days
         named = [day or "unknown date"]
     parts = [f"different days: {', '.join(named)}" if len(days) > 1 else named[0]]
-    commits = list(dict.fromkeys(str(r["commit"]) for r in records if r.get("commit")))
+    commits = list(dict.fromkeys(r["commit"] for r in records if r.get("commit")))
     if not commits:
         parts.append("commit not recorded")
     elif len(commits) > MAX_COMMITS:
@@ -143,7 +143,7 @@ def origin(records: Sequence[Record]) -> str:
     if commits and not all(record.get("commit") for record in records):
         parts.append("commit of some not recorded")
     machines = (record["machine"] for record in records if "machine" in record)
-    processors = list(dict.fromkeys(str(machine["processor"]) for machine in machines))
+    processors = list(dict.fromkeys(machine["processor"] for machine in machines))
     parts.append(" and ".join(processors) or "machine not recorded")
     return f"*Record{'s' if len(records) > 1 else ''} of {'; '.join(parts)}.*"
 

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -25,7 +26,8 @@ import dolfinx
 import dolfinx_feti
 from dolfinx_feti.runtime.collective import error_message, on_root
 
-Record = dict[str, object]
+#: A record: numbers, texts, lists and dictionaries, as JSON has them, by name.
+Record = dict[str, Any]
 #: Returns True if a record belongs to a study.
 Known = Callable[[Record], bool]
 
@@ -55,7 +57,7 @@ class Records:
             except OSError as error:
                 message = f"--json '{path}' cannot be used: {error}. Name another file."
                 raise ValueError(message) from error
-            return read_records(path, known, writer, empty=True)
+            return read_records(path, known, writer, allow_empty=True)
 
         self._path = path
         self._comm = comm
@@ -67,17 +69,20 @@ class Records:
 
     def all(self, key: Record) -> list[Record]:
         """Return all records whose values are those of the key."""
-        same = key.items()
-        return [r for r in self._records if all(r.get(n, ...) == value for n, value in same)]
+        return [
+            record
+            for record in self._records
+            if all(name in record and record[name] == value for name, value in key.items())
+        ]
 
-    def keep(self, key: Record, found: Record) -> Record:
+    def keep(self, key: Record, values: Record) -> Record:
         """Add a record with the values of the first process, or replace the one with this key.
 
         It also gets the machine, the version, the date, the commit and the command. Collective.
 
         Args:
             key: Entries that distinguish the record from others.
-            found: Measured values.
+            values: Measured values.
 
         Returns:
             The record, the same on all processes.
@@ -85,12 +90,17 @@ class Records:
         Raises:
             OSError: The file cannot be written any more. On all processes; the file is as before.
         """
-        made = {"machine": describe_machine(), "version": dolfinx_feti.__version__}
-        made |= {"date": datetime.now(UTC).isoformat(timespec="seconds")}
-        made |= {"commit": commit(), "command": shlex.join(sys.orig_argv)}
-        record = self._comm.bcast(key | found | made)
-        if known := self.all(key):
-            self._records[self._records.index(known[0])] = record
+        origin = {
+            "machine": describe_machine(),
+            "version": dolfinx_feti.__version__,
+            "date": datetime.now(UTC).isoformat(timespec="seconds"),
+            "commit": commit(),
+            "command": shlex.join(sys.orig_argv),
+        }
+        record = self._comm.bcast(key | values | origin)
+        earlier = self.all(key)
+        if earlier:
+            self._records[self._records.index(earlier[0])] = record
         else:
             self._records.append(record)
         if self._path is not None:
@@ -102,7 +112,7 @@ class Records:
 
 def describe_machine() -> dict[str, str | int]:
     """Return the processors, the memory [GiB], and the versions of Python, dolfinx and PETSc."""
-    names = list[str]()
+    names: list[str] = []
     memory = 0
     with suppress(OSError, ValueError):  # this is Linux
         names = re.findall(r"model name\s*:\s*(.*)", Path("/proc/cpuinfo").read_text())
@@ -132,14 +142,16 @@ def commit() -> str | None:
         return None
 
 
-def read_records(path: Path, known: Known, writer: str, *, empty: bool = False) -> list[Record]:
+def read_records(
+    path: Path, known: Known, writer: str, *, allow_empty: bool = False
+) -> list[Record]:
     """Read the records of a study.
 
     Args:
         path: JSON file.
         known: Returns True for a record of the study.
         writer: Name of the study, for the message.
-        empty: Whether the file may be empty.
+        allow_empty: Whether the file may be empty.
 
     Raises:
         OSError: The file cannot be read.
@@ -147,26 +159,28 @@ def read_records(path: Path, known: Known, writer: str, *, empty: bool = False) 
     """
     try:
         records = json.loads(path.read_text().strip() or "[]")
-        sound = isinstance(records, list) and all(isinstance(r, dict) and known(r) for r in records)
+        is_of_study = isinstance(records, list) and all(
+            isinstance(record, dict) and known(record) for record in records
+        )
     except ValueError:
-        sound = False
-    if not sound or not (records or empty):
-        other = "" if sound else ", but something else"
+        is_of_study = False
+    if not is_of_study or not (records or allow_empty):
+        other = "" if is_of_study else ", but something else"
         raise ValueError(f"'{path}' holds no records of {writer}{other}: name another")
     return records
 
 
 def _write(path: Path, records: list[Record]) -> None:
-    """Write all records to another file, then rename it: the file is complete at any time."""
-    whole = path.with_name(path.name + ".part")
-    lines = (json.dumps(each, ensure_ascii=False) for each in records)
+    """Write all records to a temporary file and rename it, so that the file is always complete."""
+    temporary = path.with_name(path.name + ".part")
+    lines = (json.dumps(record, ensure_ascii=False) for record in records)
     try:
-        whole.write_text("[\n" + ",\n".join(lines) + "\n]\n")
-        os.replace(whole, path)
+        temporary.write_text("[\n" + ",\n".join(lines) + "\n]\n")
+        os.replace(temporary, path)
     except OSError as error:
         raise OSError(
             f"The records in '{path}' cannot be written ({error_message(error)}): make room, and "
             "run it again; what the file holds is not repeated."
         ) from error
     finally:
-        whole.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)

@@ -161,10 +161,7 @@ def test_sweep_over_subdomains(geometry, tmp_path):
         agree(f"| {geometry} | {few['degree']} | 1 | {few['dofs']} | – | – |" in text, text)
 
 
-ELASTIC = ["cube", "plate-20", "plate-100", "plate-1000", "inclusions-1e4", "inclusions-1e8"]
-
-
-@pytest.mark.parametrize("geometry", ELASTIC)
+@pytest.mark.parametrize("geometry", tables.COMPRESSIBLE)
 def test_formulations_on_compressible_bodies(geometry, tmp_path):
     """Both agree with MUMPS; the page has a row with both, and a figure."""
     path = tmp_path / "compare.json"

@@ -119,7 +119,7 @@ def test_tube_that_is_pulled_and_inflated(mmhg):
         wall.mesh,
         lambda C, J: materials.holzapfel_gasser_ogden(C, *fibres, **parameters, J=J),
         kappa=1000.0,
-        held=[],
+        supports=[],
         pressures=("DG", 0),
     )
     ends = dict.fromkeys(("opening_1", "opening_2", "symmetry_x", "symmetry_y"), Slide())

@@ -5,8 +5,7 @@
 
 A new one is a function and an entry of :data:`GEOMETRIES`; mesh and problem come from
 ``common/bodies.py``. It is then a choice of ``--geometry``, and has rows on the page. The figures
-show the bodies of ``tables.BODIES``, and all compressible ones. The test of compressible bodies has
-them in ``ELASTIC`` of ``tests/benchmarks/test_solvers.py``.
+show the bodies of ``tables.BODIES``, and all compressible ones, which the tests solve, too.
 """
 
 from __future__ import annotations
@@ -21,13 +20,16 @@ from mpi4py import MPI
 import dolfinx
 
 from benchmarks.common import bodies
-from benchmarks.common.bodies import Body, plane
+from benchmarks.common.bodies import Body, facets_in_plane
 from benchmarks.common.walls.problem import create_clamped
-from dolfinx_feti import LinearProblem
+from dolfinx_feti import LinearProblem, loads
 from dolfinx_feti.output import writable_folder
 
 #: Relative tolerance of the linear systems of compressible bodies.
 RTOL = 1e-8
+
+#: Load of the neo-Hookean cubes in their first Newton step [kPa], as large as 1 mmHg.
+CUBE_LOAD = loads.mmhg(1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +56,8 @@ class Geometry:
     Args:
         title: Name on the page.
         create: Builds it at rest.
-        first_load: Load of the first Newton step [mmHg]; None for a linear, compressible body.
+        first_load: Load of the first Newton step, of a wall [mmHg], of a cube as a load factor;
+            None for a linear, compressible body.
         rtol: Relative tolerance of the linear systems of a compressible body.
         family: Elements on the page: P on simplices, Q on hexahedra.
         is_wall: Whether it can be loaded along a path, in mmHg.
@@ -102,11 +105,11 @@ def create_block(comm: MPI.Comm, request: Request, settings: Settings) -> Body:
     """
     mesh = _unit_cube(comm, request)
     faces = ((0, 0.0), (1, 0.0), (1, 1.0), (2, 0.0), (2, 1.0))
-    return bodies.create_neo_hookean(
+    return bodies.create_neo_hookean_cube(
         mesh,
         kappa=request.kappa,
-        held=[plane(mesh, axis, x) for axis, x in faces],
-        load=(1.0, 1.0, 0.0),
+        clamped=[facets_in_plane(mesh, axis, x) for axis, x in faces],
+        force=(1.0, 1.0, 0.0),
         degree=request.degree,
         **settings,
     )
@@ -115,11 +118,11 @@ def create_block(comm: MPI.Comm, request: Request, settings: Settings) -> Body:
 def create_pillar(comm: MPI.Comm, request: Request, settings: Settings) -> Body:
     """Build a neo-Hookean cube, clamped at x = 0, with a pressure at x = 1."""
     mesh = _unit_cube(comm, request)
-    return bodies.create_neo_hookean(
+    return bodies.create_neo_hookean_cube(
         mesh,
         kappa=request.kappa,
-        held=[plane(mesh, 0, 0.0)],
-        load=1.0,
+        clamped=[facets_in_plane(mesh, 0, 0.0)],
+        pressure=1.0,
         degree=request.degree,
         **settings,
     )
@@ -130,7 +133,7 @@ def create_heat(comm: MPI.Comm, request: Request, settings: Settings) -> LinearP
     mesh = bodies.create_unit_mesh(
         comm, dofs=request.dofs, degree=request.degree, dim=3, components=1
     )
-    return bodies.create_heat(mesh, degree=request.degree, **settings)
+    return bodies.create_heat_problem(mesh, degree=request.degree, **settings)
 
 
 def create_square(comm: MPI.Comm, request: Request, settings: Settings) -> LinearProblem:
@@ -138,12 +141,14 @@ def create_square(comm: MPI.Comm, request: Request, settings: Settings) -> Linea
     mesh = bodies.create_unit_mesh(
         comm, dofs=request.dofs, degree=request.degree, dim=2, components=2
     )
-    return bodies.create_elastic(mesh, degree=request.degree, **settings)
+    return bodies.create_elastic_problem(mesh, degree=request.degree, **settings)
 
 
 def create_cube(comm: MPI.Comm, request: Request, settings: Settings) -> LinearProblem:
     """Build an elastic cube in its weight."""
-    return bodies.create_elastic(_unit_cube(comm, request), degree=request.degree, **settings)
+    return bodies.create_elastic_problem(
+        _unit_cube(comm, request), degree=request.degree, **settings
+    )
 
 
 def create_plate(
@@ -157,10 +162,12 @@ def create_plate(
         request: Size and degree.
         settings: Further arguments of the problem.
     """
-    mesh = bodies.create_plate(
+    mesh = bodies.create_plate_mesh(
         comm, dofs=request.dofs, degree=request.degree, slenderness=slenderness
     )
-    return bodies.create_elastic(mesh, degree=request.degree, clamped=(0.0, 1.0), **settings)
+    return bodies.create_elastic_problem(
+        mesh, degree=request.degree, clamped=(0.0, 1.0), **settings
+    )
 
 
 def create_inclusions(
@@ -176,7 +183,9 @@ def create_inclusions(
     """
     mesh = _unit_cube(comm, request)
     modulus = bodies.with_inclusions(mesh, ratio)
-    return bodies.create_elastic(mesh, degree=request.degree, shear_modulus=modulus, **settings)
+    return bodies.create_elastic_problem(
+        mesh, degree=request.degree, shear_modulus=modulus, **settings
+    )
 
 
 def _unit_cube(comm: MPI.Comm, request: Request) -> dolfinx.mesh.Mesh:
@@ -193,8 +202,8 @@ GEOMETRIES = {
     "vessel": Geometry(
         title="branched vessel", create=create_vessel, first_load=0.01, is_wall=True
     ),
-    "block": Geometry(title="compact block", create=create_block, first_load=1.0),
-    "pillar": Geometry(title="pillar", create=create_pillar, first_load=1.0),
+    "block": Geometry(title="compact block", create=create_block, first_load=CUBE_LOAD),
+    "pillar": Geometry(title="pillar", create=create_pillar, first_load=CUBE_LOAD),
     "heat": Geometry(title="heat in a cube", create=create_heat),
     "square": Geometry(title="square", create=create_square),
     "cube": Geometry(title="cube", create=create_cube),

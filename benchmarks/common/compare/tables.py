@@ -107,7 +107,7 @@ def fields(records: Sequence[Record]) -> Fields:
 def _steps(body: str, kappa: float, cases: Sequence[Sequence[Record]]) -> dict[str, object]:
     """Return the section of a body and a κ: its rows, and how FETI compares with the best other."""
     compared = [row for case in cases if (row := _against_the_best(case)) is not None]
-    ratios = [float(str(row["time_ratio"])) for row in compared]
+    ratios = [row["time_ratio"] for row in compared]
     return {
         "geometry": body,
         "kappa": kappa,
@@ -172,8 +172,8 @@ def seconds(record: Record) -> float:
 
 def _row(record: Record) -> dict[str, object]:
     """Return the row of a record: names, layout and means; no results if the solver failed."""
-    solver = OPPONENTS[str(record["solver"])]
-    geometry = GEOMETRIES[str(record["geometry"])]
+    solver = OPPONENTS[record["solver"]]
+    geometry = GEOMETRIES[record["geometry"]]
     row = dict(record) | {"name": solver.title, "layout": _layout(record)}
     path = record["path_mmhg"]
     loaded = record["loaded_mmhg"]
@@ -249,7 +249,7 @@ def _growth(first: Sequence[Sequence[Record]]) -> Iterator[dict[str, object]]:
 
 def _whole(record: Record) -> float:
     """Return the seconds that solvers are ranked by, of a path end to end; infinite if unsolved."""
-    solved = record["converged"] and not str(record["note"]).startswith("the residual is above")
+    solved = record["converged"] and not record["note"].startswith("the residual is above")
     return record.get("seconds_end_to_end", seconds(record)) if solved else math.inf
 
 
@@ -269,7 +269,7 @@ def _subdomains(records: Sequence[Record]) -> list[dict[str, object]]:
         least = min(r["seconds_cpu"] for r in mine if r["converged"])
         its = [r["iterations"] for r in mine if r["subdomains"] > 1]
         place = (processes, ORDER[geometry], degree, wanted)
-        at = {int(r["per"]): f"{r['seconds_cpu'] / least:.2f}" for r in mine}
+        at = {r["per"]: f"{r['seconds_cpu'] / least:.2f}" for r in mine}
         ends = {"fewest": min(its, default=None), "most": max(its, default=None)}
         rows.append(mine[0] | ends | {"place": place, "at": at, "sources": mine})
     return sorted(rows, key=lambda row: row["place"])

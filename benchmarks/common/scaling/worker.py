@@ -77,13 +77,13 @@ def measure(case: Record, comm: MPI.Comm) -> Record:
     for _ in range(2):  # the second time for what does not depend on the mesh
         comm.Barrier()
         started = time.perf_counter()
-        first_step.load(_create(tiny, read_wall(tube, comm)), PRESSURE, in_part=True)
+        first_step.load(_create(tiny, read_wall(tube, comm)), PRESSURE, allow_max_steps=True)
         fixed = time.perf_counter() - started
     comm.Barrier()
     started = time.perf_counter()
     phases = event_clock((*EVENTS, *ONCE), comm)
     body = _create(case, read_wall(file, comm))
-    first_step.load(body, PRESSURE, in_part=True)
+    first_step.load(body, PRESSURE, allow_max_steps=True)
     comm.Barrier()
     ended = time.perf_counter()
     spent = phases()
@@ -158,7 +158,7 @@ def _bytes_read() -> int:
 
 def _written(case: Record, comm: MPI.Comm) -> Path:
     """Return the file of a case's wall for this number of processes; write it if it is missing."""
-    folder = Path(str(case["folder"]))
+    folder = Path(case["folder"])
     name = f"{case['geometry']}_{case['size']}_{comm.size}"
     path = folder / f"{name}.xdmf"
     if not comm.bcast(path.is_file()):

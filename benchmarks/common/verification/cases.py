@@ -24,7 +24,13 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from benchmarks.common.bodies import Body, create_block, create_body, displacement, plane
+from benchmarks.common.bodies import (
+    Body,
+    create_block_mesh,
+    create_body,
+    displacement_at,
+    facets_in_plane,
+)
 from benchmarks.common.walls.inflated_tube import create_inflated_tube, create_slice, residual_part
 from benchmarks.common.walls.oracle import KPA_PER_MMHG, LAYERS, Wall, inflate
 from dolfinx_feti import materials
@@ -98,22 +104,22 @@ APEX = {"inside": 0.0, "middle": 0.5, "outside": 1.0}  # fractions of the wall
 
 def _beam(comm: MPI.Comm, n: int) -> Body:
     """Build the beam, bent by 4 Pa from below, clamped at x = 0."""
-    mesh = create_block(comm, (10.0, 1.0, 1.0), (10 * n, n, n))
+    mesh = create_block_mesh(comm, (10.0, 1.0, 1.0), (10 * n, n, n))
     e_x = ufl.as_vector([1.0, 0.0, 0.0])
 
     def energy(C: Expr, J: Expr, _share: Expr) -> Expr:
         return materials.guccione(C, e_x, **HEART, J=J)
 
     def tip(u: dolfinx.fem.Function) -> dict[str, float]:
-        return {"tip": 1.0 + float(displacement(u, (10.0, 0.5, 1.0))[2])}
+        return {"tip": 1.0 + float(displacement_at(u, (10.0, 0.5, 1.0))[2])}
 
     return create_body(
         mesh,
         energy,
         kappa=1000.0,
-        held=[(None, plane(mesh, 0, 0.0))],
-        loaded=plane(mesh, 2, 0.0),
-        load=0.004,
+        supports=[(None, facets_in_plane(mesh, 0, 0.0))],
+        loaded=facets_in_plane(mesh, 2, 0.0),
+        pressure=0.004,
         measure=tip,
         settings={"subdomains": _subdomains(n)},
     )
@@ -151,15 +157,15 @@ def _ellipsoid(comm: MPI.Comm, n: int, *, bricks: int, energy: Energy, pressure:
     def apex(u: dolfinx.fem.Function) -> dict[str, float]:
         """Return z of the points of the apex."""
         at_rest = {key: -LONG - THICKNESS * t for key, t in APEX.items()}
-        return {key: z + float(displacement(u, (0.0, 0.0, z))[2]) for key, z in at_rest.items()}
+        return {key: z + float(displacement_at(u, (0.0, 0.0, z))[2]) for key, z in at_rest.items()}
 
     return create_body(
         wall.mesh,
         energy_with_fibres,
         kappa=1e5,
-        held=[(None, facets(wall, "base"))],
+        supports=[(None, facets(wall, "base"))],
         loaded=facets(wall, "lumen"),
-        load=pressure,
+        pressure=pressure,
         measure=apex,
         settings={"subdomains": _subdomains(n)},
     )
@@ -169,12 +175,12 @@ def _ellipsoid(comm: MPI.Comm, n: int, *, bricks: int, energy: Energy, pressure:
 
 
 def _block(comm: MPI.Comm, n: int) -> Body:
-    """Build a quarter of the block, pressed on a quarter of its top, which is held sideways."""
-    mesh = create_block(comm, (50.0, 50.0, 50.0), (2 * n,) * 3)
+    """Build a quarter of the block, pressed on a quarter of its top, which moves only downwards."""
+    mesh = create_block_mesh(comm, (50.0, 50.0, 50.0), (2 * n,) * 3)
     μ = 1.61148  # kPa
     λ = 499.92568  # kPa
-    bottom = plane(mesh, 2, 0.0)
-    top = plane(mesh, 2, 50.0)
+    bottom = facets_in_plane(mesh, 2, 0.0)
+    top = facets_in_plane(mesh, 2, 50.0)
 
     def is_pressed(x: Array) -> Array:
         return np.isclose(x[2], 50) & (x[0] < 25 + 1e-6) & (x[1] < 25 + 1e-6)
@@ -183,16 +189,22 @@ def _block(comm: MPI.Comm, n: int) -> Body:
         return materials.neo_hookean(C, c=μ, J=J)
 
     def depth(u: dolfinx.fem.Function) -> dict[str, float]:
-        return {"top": -float(displacement(u, (0.0, 0.0, 50.0))[2])}
+        return {"top": -float(displacement_at(u, (0.0, 0.0, 50.0))[2])}
 
     pressed = dolfinx.mesh.locate_entities_boundary(mesh, 2, is_pressed)
     return create_body(
         mesh,
         energy,
         kappa=λ + 2 * μ / 3,
-        held=[(0, plane(mesh, 0, 0.0)), (1, plane(mesh, 1, 0.0)), (2, bottom), (0, top), (1, top)],
+        supports=[
+            (0, facets_in_plane(mesh, 0, 0.0)),
+            (1, facets_in_plane(mesh, 1, 0.0)),
+            (2, bottom),
+            (0, top),
+            (1, top),
+        ],
         loaded=np.sort(pressed),
-        load=(0.0, 0.0, -9.0),
+        force=(0.0, 0.0, -9.0),
         measure=depth,
         settings={"subdomains": _subdomains(n)},
     )
@@ -277,25 +289,29 @@ def _dispersed_strip(comm: MPI.Comm, n: int) -> Body:
 
 def _pulled_strip(comm: MPI.Comm, n: int, *, dispersion: float) -> Body:
     """Build an eighth of the strip of 3 x 0.5 x 10 mm, pulled by 2 N at an end that is gripped."""
-    mesh = create_block(comm, (1.5, 0.25, 5.0), (3 * n, 1, 10 * n))
+    mesh = create_block_mesh(comm, (1.5, 0.25, 5.0), (3 * n, 1, 10 * n))
     a1, a2 = (ufl.as_vector([s * np.sin(ANGLE), 0.0, np.cos(ANGLE)]) for s in (1, -1))
-    end = plane(mesh, 2, 5.0)
+    end = facets_in_plane(mesh, 2, 5.0)
     middles = [(0, 1.5), (1, 0.25), (2, 0.0)]
 
     def energy(C: Expr, J: Expr, _share: Expr) -> Expr:
         return materials.gasser_ogden_holzapfel(C, a1, a2, **ADVENTITIA, dispersion=dispersion, J=J)
 
     def elongation(u: dolfinx.fem.Function) -> dict[str, float]:
-        return {"end": float(displacement(u, (1.5, 0.25, 5.0))[2])}
+        return {"end": float(displacement_at(u, (1.5, 0.25, 5.0))[2])}
 
     return create_body(
         mesh,
         energy,
         kappa=1e6,
-        held=[*((axis, plane(mesh, axis, x)) for axis, x in middles), (0, end), (1, end)],
+        supports=[
+            *((axis, facets_in_plane(mesh, axis, x)) for axis, x in middles),
+            (0, end),
+            (1, end),
+        ],
         loaded=end,
-        load=(0.0, 0.0, 2000.0 / 1.5),
-        grip=1e6,
+        force=(0.0, 0.0, 2000.0 / 1.5),
+        flatness_penalty=1e6,
         measure=elongation,
         settings={"subdomains": _subdomains(n)},
     )

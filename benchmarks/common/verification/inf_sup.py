@@ -71,14 +71,14 @@ def cases(args: Arguments, _comm: MPI.Comm) -> Iterator[Record]:
 
 def run(case: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     """Compute a constant on the first process."""
-    keep({}, on_root(lambda: constant(str(case["pair"]), int(case["cells"])), comm))
+    keep({}, on_root(lambda: constant(case["pair"], case["cells"]), comm))
 
 
 def fields(records: Sequence[Record]) -> Fields:
     """Return a row for each pair, in their order."""
     rows = {}
     for (pair,), mine in groups(records, "pair"):
-        at = {int(r["cells"]): f"{r['beta']:.3f}" for r in mine}
+        at = {r["cells"]: f"{r['beta']:.3f}" for r in mine}
         most = max(r["spurious"] for r in mine)
         rows[pair] = {"name": PAIRS[pair][0], "most": most, "at": at, "sources": mine}
     return {"pairs": [rows[pair] for pair in PAIRS if pair in rows]}

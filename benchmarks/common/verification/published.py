@@ -55,8 +55,8 @@ def cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
 def run(key: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     """Load a body by both solvers."""
     begun = time.perf_counter()
-    case = CASES[str(key["case"])]
-    body = case.create(comm, int(key["mesh"]))
+    case = CASES[key["case"]]
+    body = case.create(comm, key["mesh"])
     last: list[list[np.ndarray]] = []
 
     def remember(step: LoadStep) -> None:
@@ -90,7 +90,7 @@ def fields(records: Sequence[Record]) -> Fields:
     sections = []
     summary = []
     for name, case in CASES.items():
-        meshes = sorted((r for r in records if r["case"] == name), key=lambda r: int(r["mesh"]))
+        meshes = sorted((r for r in records if r["case"] == name), key=lambda r: r["mesh"])
         if not meshes:
             continue
         about = {"name": case.name, "source": case.source}
@@ -129,7 +129,7 @@ def _solve_by_mumps(body: Body) -> None:
         for form, test in zip(body.residuals, tests, strict=True)
     )
     bcs = []
-    for component, facets in body.held:
+    for component, facets in body.supports:
         part = W.sub(0) if component is None else W.sub(0).sub(component)
         space, _ = part.collapse()
         dofs = dolfinx.fem.locate_dofs_topological((part, space), 2, facets)

@@ -115,7 +115,7 @@ def fields(records: Sequence[Record]) -> Fields:
     top = max((r["pressure_mmhg"] for r in records), default=0.0)
     rows = []
     for record in (r for r in records if r["pressure_mmhg"] == top):
-        name, style = WAYS[str(record["element"])]
+        name, style = WAYS[record["element"]]
         more = {"way": name, "style": style}
         if record["augmented"]:
             more = {"way": f"{name}, λ", "style": style | {"ls": ":"}}
@@ -123,7 +123,7 @@ def fields(records: Sequence[Record]) -> Fields:
     order = list(WAYS)
     rows.sort(key=lambda r: (order.index(r["element"]), r["augmented"], -r["size"]))
     kappas = [
-        {**record, "way": WAYS[str(record["element"])][0], "sources": [record]}
+        {**record, "way": WAYS[record["element"]][0], "sources": [record]}
         for record in records
         if record["pressure_mmhg"] == ARTERIAL and not record["augmented"]
     ]

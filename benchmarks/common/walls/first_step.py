@@ -20,7 +20,7 @@ import dolfinx
 from benchmarks.common.bodies import Body
 from benchmarks.common.records import Record
 from benchmarks.common.walls.problem import create_wall_problem
-from dolfinx_feti import ConvergenceError, loads
+from dolfinx_feti import ConvergenceError
 from dolfinx_feti.fem.decomposition import decompose
 from dolfinx_feti.runtime.arrays import Indices
 from dolfinx_feti.wall import Wall, facets, openings
@@ -77,10 +77,10 @@ def create(wall: Wall, case: Record, subdomains: int | Indices, options: Record)
         degree=case["degree"],
         kappa=case["kappa"],
         subdomains=subdomains,
-        petsc_options=OPTIONS[str(case["choices"])] | options,
+        petsc_options=OPTIONS[case["choices"]] | options,
         fibres=fibre_families(wall, fibre_frame(wall), angles),
-        lumen=False,
-        tangent=TANGENTS[str(case["choices"])],
+        use_pressure_potential=False,
+        tangent=TANGENTS[case["choices"]],
     )
 
 
@@ -92,24 +92,25 @@ def sizes(body: Body) -> Record:
     return {"dofs": body.dofs} | known | {n: getattr(report, n) for n in names if known}
 
 
-def load(body: Body, mmhg: float, *, in_part: bool) -> None:
+def load(body: Body, mmhg: float, *, allow_max_steps: bool) -> None:
     """Load a wall at rest. Collective.
 
     Args:
         body: The wall.
         mmhg: Pressure [mmHg].
-        in_part: Whether it is no failure if the largest number of Newton steps is not enough.
+        allow_max_steps: Whether Newton's method may end at its largest number of steps
+            (``snes_max_it``) without an error.
 
     Raises:
         ConvergenceError: Newton's method failed.
     """
     at_rest = body.problem.linearise()
-    body.load.value = loads.mmhg(mmhg)
+    body.set_load(mmhg)
     try:
         body.problem.solve(first_tangent=at_rest)
     except ConvergenceError:
         too_many = PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT
-        if not in_part or body.problem.solver.getConvergedReason() != too_many:
+        if not allow_max_steps or body.problem.solver.getConvergedReason() != too_many:
             raise
 
 
@@ -136,18 +137,19 @@ def partition(wall: Wall, subdomains: int, contact: str) -> Indices:
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     cells = V.dofmap.list[: len(part)]
     rims = np.concatenate([facets(wall, name) for name in openings(wall)])
-    held = np.isin(cells, dolfinx.fem.locate_dofs_topological(V, 2, rims))  # (n_cells, 4)
-    on_rim = held.any(axis=1)
-    single = held.sum(axis=1) == 1
-    point = np.where(held, cells, -1).max(axis=1, initial=-1)
-    parts = range(int(part.max(initial=-1)) + 1)
-    points = [np.unique(point[single & (part == i)]) for i in parts]
-    rim, inside = (np.bincount(part[where], minlength=len(parts)) for where in (on_rim, ~on_rim))
-    fit = (inside > rim) & (np.array([len(found) for found in points], dtype=int) >= POINTS)
-    candidates = np.where(fit, rim, 0)
+    is_on_rim = np.isin(cells, dolfinx.fem.locate_dofs_topological(V, 2, rims))  # (n_cells, 4)
+    touches_rim = is_on_rim.any(axis=1)
+    has_one_vertex = is_on_rim.sum(axis=1) == 1
+    vertex = np.where(is_on_rim, cells, -1).max(axis=1, initial=-1)  # on the rim, or −1
+    n = int(part.max(initial=-1)) + 1
+    points = [np.unique(vertex[has_one_vertex & (part == i)]) for i in range(n)]
+    cells_at_rim = np.bincount(part[touches_rim], minlength=n)
+    cells_elsewhere = np.bincount(part[~touches_rim], minlength=n)
+    has_points = np.array([len(vertices) for vertices in points], dtype=int) >= POINTS
+    candidates = np.where(has_points & (cells_elsewhere > cells_at_rim), cells_at_rim, 0)
     best = (int(candidates.max(initial=0)), -mesh.comm.rank)
-    most, owner = mesh.comm.allreduce(best, op=MPI.MAX)
-    if most == 0:
+    most_cells, owner = mesh.comm.allreduce(best, op=MPI.MAX)
+    if most_cells == 0:
         raise ValueError(
             f"subdomains={subdomains}: none of them touches a rim in {POINTS} points or more and "
             "has most of its cells elsewhere: take fewer, or refine the mesh."
@@ -155,15 +157,16 @@ def partition(wall: Wall, subdomains: int, contact: str) -> Indices:
     if mesh.comm.rank != -owner:
         return part
     chosen = int(candidates.argmax())
-    cut = on_rim & (part == chosen)
+    is_cut_off = touches_rim & (part == chosen)
     if contact == "few":
-        few = _near(V, points[chosen])
-        cut &= (held & ~np.isin(cells, few)).any(axis=1)  # stays if it touches these points only
-    return np.where(cut, part.max() + 1, part).astype(np.int32)
+        kept_points = _nearest_points(V, points[chosen])
+        touches_others = (is_on_rim & ~np.isin(cells, kept_points)).any(axis=1)
+        is_cut_off &= touches_others
+    return np.where(is_cut_off, part.max() + 1, part).astype(np.int32)
 
 
-def _near(V: dolfinx.fem.FunctionSpace, points: Indices) -> Indices:
-    """Return the first of some points and those nearest to it, POINTS in all."""
+def _nearest_points(V: dolfinx.fem.FunctionSpace, points: Indices) -> Indices:
+    """Return the first of some nodes of V and those nearest to it, POINTS in all."""
     X = V.tabulate_dof_coordinates()[points]
     order = np.argsort(np.linalg.norm(X - X[:1], axis=1), kind="stable")
     return points[order[:POINTS]]

@@ -201,7 +201,7 @@ def create_inflated_tube(wall: Wall, *, element: str = "p2-p0", **settings: obje
         petsc_options={},
         prefix="tube_",
         fibres=tube_fibres(mesh) if kind.bricks is None else _helices(wall),
-        held=[(component, facets(wall, name)) for name, component in PLANES.items()],
+        supports=[(component, facets(wall, name)) for name, component in PLANES.items()],
         axis=(0.0, 0.0, 1.0),
         **settings,
     )

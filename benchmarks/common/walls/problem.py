@@ -17,7 +17,7 @@ import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
-from benchmarks.common.bodies import Body, Held, create_body
+from benchmarks.common.bodies import Body, Support, create_body
 from benchmarks.common.records import Record
 from dolfinx_feti import kinematics, loads, materials
 from dolfinx_feti.meshes.tube import INNER_RADIUS, MEDIA
@@ -51,7 +51,7 @@ def create_wall_problem(
     prefix: str = "wall_",
     fibres: tuple[Expr, Expr] | None = None,
     volume_tolerance: float | None = None,
-    held: Sequence[Held] | None = None,
+    supports: Sequence[Support] | None = None,
     **further: object,
 ) -> Body:
     """Tear a wall at rest, with a pressure in its lumen. Collective.
@@ -65,20 +65,21 @@ def create_wall_problem(
         fibres: Both families, unit vectors; from Laplace problems if None.
         volume_tolerance: Bound of |mean J − 1| of each cell, met by multipliers in place of a
             large κ; None without.
-        held: Components and facets with u = 0; all components on all openings if None.
+        supports: Components and facets with u = 0; all components on all openings if None.
         further: Arguments of ``create_body``.
     """
     artery = materials.ArteryParameters()
     a1, a2 = fibres or fibre_families(wall, fibre_frame(wall))
     parameters = {"c": c or artery.c, "k1": artery.k1, "k2": artery.k2}
-    if held is None:
-        held = [(None, np.concatenate([facets(wall, name) for name in openings(wall)]))]
-    defaults = {"pressures": ("DG", 0), "tangent": "symmetric", "lumen": True}
+    if supports is None:
+        supports = [(None, np.concatenate([facets(wall, name) for name in openings(wall)]))]
+    defaults = {"pressures": ("DG", 0), "tangent": "symmetric", "use_pressure_potential": True}
     body = create_body(
         wall.mesh,
         lambda C, J, _share: materials.holzapfel_gasser_ogden(C, a1, a2, **parameters, J=J),
-        held=held,
+        supports=supports,
         loaded=facets(wall, "lumen"),
+        pressure=1.0,  # kPa: the load factor is the pressure
         settings={
             "subdomains": subdomains,
             "petsc_options": petsc_options,
