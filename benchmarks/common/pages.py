@@ -5,7 +5,7 @@
 
 Fields are those of :meth:`str.format`, such as ``{kappa:g}`` or ``{times[local]:.2f}``. In addition
 to its formats there are those of :data:`FORMS`. A value that is unknown is shown as a dash, and so
-is a field whose name is misspelt.
+is a field whose name is misspelt: :func:`missing_fields` finds those.
 
 A line that ends in ``<!-- rows -->`` is written once for each entry of the field ``rows``. The
 values of an entry take precedence over those of the page. A heading that ends so repeats its whole
@@ -34,8 +34,10 @@ from typing import Any
 
 from benchmarks.common.records import Record
 
+#: Values by the names of a template's fields.
 Fields = Mapping[str, Any]
 
+#: End of a line or heading that is repeated for the entries of a field.
 MARK = re.compile(r" *<!-- (\w+) -->$")
 #: A table, with the line of its records.
 TABLE = re.compile(r"((?:^\|.*\n)+)(\n\*Records? of .*\*\n)?", re.M)
@@ -64,12 +66,38 @@ FORMS: dict[str, Callable[[Any], str]] = {
 
 
 def fill(template: str, fields: Fields) -> str:
-    """Return a template filled with the values of its fields."""
+    """Return a template filled with values.
+
+    Args:
+        template: Text with fields and marks, as above.
+        fields: Values of the page; a marked line or section is repeated for the Fields in a list.
+    """
     return "".join(
         _lines(text, {**fields, **each})
         for text, several in _sections(template)
         for each in ([{}] if several is None else fields[several])
     )
+
+
+def missing_fields(template: str, fields: Fields) -> set[str]:
+    """Return the fields of a template that neither the page nor any of its entries has.
+
+    They are misspelt, or the records have none of their values.
+    """
+    missing: set[str] = set()
+    for text, repeated in _sections(template):
+        sections = [fields] if repeated is None else [fields | each for each in fields[repeated]]
+        for line in text.splitlines():
+            line, mark = _split_mark(line)
+            names = {re.split(r"[.\[]", name)[0] for _, name, *_ in _FORMATTER.parse(line) if name}
+            known = {
+                name
+                for of_section in sections
+                for each in ([{}] if mark is None else of_section[mark])
+                for name in of_section | each
+            }
+            missing |= names - known if sections else set()
+    return missing
 
 
 def section(rows: Iterable[Fields], **fields: object) -> list[dict[str, object]]:
@@ -81,8 +109,8 @@ def section(rows: Iterable[Fields], **fields: object) -> list[dict[str, object]]
         rows: Entries of the table.
         fields: Further values of the section.
     """
-    found = list(rows)
-    return [{"rows": found} | fields] if found else []
+    entries = list(rows)
+    return [{"rows": entries} | fields] if entries else []
 
 
 def groups(
@@ -90,12 +118,14 @@ def groups(
 ) -> Iterator[tuple[tuple[Any, ...], list[Record]]]:
     """Yield each combination of values of some parameters, and the records that have it.
 
-    The combinations come in the order of the records.
+    Args:
+        records: Records; the combinations come in their order.
+        names: Keys of the parameters.
     """
-    found: dict[tuple[Any, ...], list[Record]] = {}
+    by_values: dict[tuple[Any, ...], list[Record]] = {}
     for record in records:
-        found.setdefault(tuple(record[name] for name in names), []).append(record)
-    yield from found.items()
+        by_values.setdefault(tuple(record[name] for name in names), []).append(record)
+    yield from by_values.items()
 
 
 def fold_tables(text: str) -> str:
@@ -105,13 +135,13 @@ def fold_tables(text: str) -> str:
     begin and end the Markdown.
     """
 
-    def fold(found: re.Match[str]) -> str:
-        table, origin = found.groups("")
+    def fold(match: re.Match[str]) -> str:
+        table, origin = match.groups("")
         lines = table.splitlines()
         columns = len(lines[0].strip("| ").split(" | "))
         rows = len(lines) - 2  # without the heading and the line below it
         if rows <= MAX_ROWS and rows * columns <= MAX_CELLS:
-            return found[0]
+            return match[0]
         number = f"{rows} row{'s' if rows > 1 else ''}"
         return f"<details>\n<summary>Table of {number}</summary>\n\n{table}{origin}\n</details>\n"
 
@@ -178,8 +208,14 @@ def _sections(template: str) -> Iterator[tuple[str, str | None]]:
     """Yield each section, and the name of the field for whose entries it is repeated, or None."""
     for text in re.split(r"^(?=## )", template, flags=re.M):
         head, _, rest = text.partition("\n")
-        mark = MARK.search(head) if head.startswith("## ") else None
-        yield (text, None) if mark is None else (f"{head[: mark.start()]}\n{rest}", mark[1])
+        head, mark = _split_mark(head) if head.startswith("## ") else (head, None)
+        yield (text, None) if mark is None else (f"{head}\n{rest}", mark)
+
+
+def _split_mark(line: str) -> tuple[str, str | None]:
+    """Return a line without its mark, and the name of the field that the mark repeats it for."""
+    mark = MARK.search(line)
+    return (line, None) if mark is None else (line[: mark.start()], mark[1])
 
 
 def _lines(text: str, fields: Fields) -> str:
@@ -192,9 +228,8 @@ def _lines(text: str, fields: Fields) -> str:
             of_table = {}
         if line == END:
             break
-        mark = MARK.search(line)
-        entries = [{}] if mark is None else fields[mark[1]]
-        line = line if mark is None else line[: mark.start()]
+        line, mark = _split_mark(line)
+        entries = [{}] if mark is None else fields[mark]
         lines += [_FORMATTER.vformat(line, (), {**fields, **each}) for each in entries]
         if line.startswith("|") and mark is not None:
             sources = [record for each in entries for record in _sources(each, fields)]
@@ -203,6 +238,8 @@ def _lines(text: str, fields: Fields) -> str:
 
 
 class _Formatter(string.Formatter):
+    """Fills in fields by FORMS; unknown values and NaN are dashes."""
+
     def get_field(self, name: str, args: Sequence[Any], kwargs: Fields) -> tuple[Any, Any]:
         try:
             return super().get_field(name, args, kwargs)

@@ -21,6 +21,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -31,8 +32,8 @@ from benchmarks.common.records import Known, Record, Records, read_records
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.meshes.arguments import RootParser, parse_all, split_petsc_options
 
-#: Writes and prints a record, and returns it. Arguments: entries that the key of the record has in
-#: addition to those of its case, such as the pressure; measured values.
+#: Writes and prints a record, and returns it; see :func:`keep_record`. Arguments: entries of the
+#: record's key in addition to those of its case, such as the pressure; measured values. Collective.
 Keep = Callable[[Record, Record], Record]
 Arguments = argparse.Namespace
 
@@ -89,19 +90,10 @@ class Study:
         Raises:
             SystemExit: The command line is wrong (status 2), or a case failed (status 1).
         """
-        form = argparse.RawDescriptionHelpFormatter
-        name = Path(self.file).stem
-        parser = RootParser(name, description=self.about, formatter_class=form, allow_abbrev=False)
-        add = parser.add_argument
-        add("--json", type=Path, nargs="+", default=[], metavar="FILE", help="records; added to")
-        add("--again", action="store_true", help="also run cases that the file has")
-        add("--list", action="store_true", help="print the cases instead")
-        add("--only", type=read_values, default={}, metavar="NAME=VALUE,…", help="run these cases")
-        add("--page", type=Path, metavar="FOLDER", help="write the page of the files instead")
-        self.options(parser)
-        own, petsc = split_petsc_options(sys.argv[1:] if argv is None else argv)
-        args = parse_all(parser, own)
-        PETSc.Options().insertString(" ".join(petsc))
+        parser = self._create_parser()
+        words, petsc_words = split_petsc_options(sys.argv[1:] if argv is None else argv)
+        args = parse_all(parser, words)
+        PETSc.Options().insertString(" ".join(petsc_words))
         if args.page is None and len(args.json) > 1:
             parser.error("argument --json: one file takes the records; --page reads several")
         try:
@@ -112,19 +104,36 @@ class Study:
             cases = select(self.cases(args, comm), args.only)
             if args.list:
                 for case in cases:
-                    say(shown(case), comm)
+                    say(case_text(case), comm)
                 return []
             records = Records(path, comm, self.known, self.page)
             return self._run_all(cases, args, records, comm)
         except (OSError, ValueError) as error:  # of a file; fewer cells than subdomains
             parser.error(str(error))
 
+    def _create_parser(self) -> RootParser:
+        """Create the parser of the command line: options of all studies, and those of this one."""
+        parser = RootParser(
+            Path(self.file).stem,
+            description=self.about,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+        add = parser.add_argument
+        add("--json", type=Path, nargs="+", default=[], metavar="FILE", help="records; added to")
+        add("--again", action="store_true", help="also run cases that the file has")
+        add("--list", action="store_true", help="print the cases instead")
+        add("--only", type=read_values, default={}, metavar="NAME=VALUE,…", help="run these cases")
+        add("--page", type=Path, metavar="FOLDER", help="write the page of the files instead")
+        self.options(parser)
+        return parser
+
     def _run_all(
         self, cases: Iterable[Record], args: Arguments, records: Records, comm: MPI.Comm
     ) -> list[Record]:
-        """Run the cases without a record; return the records of all cases.
+        """Run the cases without a record; return the records of all cases. Collective.
 
-        A case that does not converge does not keep the others from running.
+        Other cases run even if one does not converge.
 
         Raises:
             SystemExit: A case failed (status 1).
@@ -155,12 +164,24 @@ class Study:
         """
         records = [r for path in files for r in read_records(path, self.known, self.page)]
         folder.mkdir(parents=True, exist_ok=True)
-        values = {**provenance(records), **self.fields(records)}
-        values["pictures"] = self.draw(records, folder)
-        template = Path(self.file).with_suffix(".md").read_text(encoding="utf-8")
-        text = fold_tables(fill(template, values))
+        text = fold_tables(fill(self.template, self.page_fields(records, folder)))
         (folder / f"{self.page}.md").write_text(text, encoding="utf-8")
         return text
+
+    @property
+    def template(self) -> str:
+        """Text of the template."""
+        return Path(self.file).with_suffix(".md").read_text(encoding="utf-8")
+
+    def page_fields(self, records: Sequence[Record], folder: Path) -> dict[str, Any]:
+        """Return the values of the page, and draw its pictures.
+
+        Args:
+            records: Records of the study.
+            folder: Where pictures are written.
+        """
+        pictures = self.draw(records, folder)
+        return {**provenance(records), **self.fields(records), "pictures": pictures}
 
 
 def keep_record(
@@ -181,7 +202,7 @@ def keep_record(
 
 
 def read_values(text: str) -> dict[str, str]:
-    """Return the values that ``--only`` wants, such as ``level=2,pc=lumped``, by name."""
+    """Return the values of ``--only`` by name, such as those of ``level=2,pc=lumped``."""
     words = [word.partition("=") for word in text.split(",")]
     if not all(name and equals for name, equals, _ in words):
         raise argparse.ArgumentTypeError(f"{text!r}: write NAME=VALUE,NAME=VALUE")
@@ -204,6 +225,6 @@ def select(cases: Iterable[Record], wanted: Mapping[str, str]) -> Iterator[Recor
         raise ValueError(f"argument --only: no case has {values}; --list prints all cases")
 
 
-def shown(case: Record) -> str:
+def case_text(case: Record) -> str:
     """Return the key of a case as ``--only`` takes it."""
     return ",".join(f"{name}={value}" for name, value in case.items())

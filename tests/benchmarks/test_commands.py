@@ -17,6 +17,7 @@ from wall_files import ROOT
 
 from benchmarks import compare, edit
 from benchmarks.common.compare import tables
+from benchmarks.common.pages import missing_fields
 from benchmarks.common.records import describe_machine
 
 pytest.importorskip("matplotlib")
@@ -68,6 +69,14 @@ def test_page_of_the_documentation_is_that_of_its_records(name, tmp_path):
     assert made == there
     for path in made:
         assert (tmp_path / path).read_text() == (RESULTS / path).read_text(), path
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_each_field_of_a_template_has_a_value(name, tmp_path):
+    """A field whose name is misspelt would be a column of dashes."""
+    study = importlib.import_module(f"benchmarks.{name}").STUDY
+    records = json.loads((RESULTS / f"{study.page}.json").read_text())
+    assert missing_fields(study.template, study.page_fields(records, tmp_path)) == set()
 
 
 @pytest.mark.parametrize("name", MADE)

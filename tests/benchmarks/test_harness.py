@@ -147,6 +147,12 @@ def test_line_below_a_table_names_its_records(rows, line):
     agree(folded.endswith(".*\n\n</details>\n\nThe end.\n"), folded)
 
 
+def test_misspelt_field_of_a_template_is_found():
+    fields = {"n": 1, "rows": [{"n": 1}], "parts": [{"m": 2, "rows": []}]}
+    template = "{n} {nn}\n| {n} {rown:.1f} | <!-- rows -->\n## {m} <!-- parts -->\n{m[a]} {mm.a}\n"
+    agree(pages.missing_fields(template, fields) == {"nn", "rown", "mm"})
+
+
 def test_cases_are_listed(capsys):
     agree(squares().main(["--x", "2,3", "--list"], COMM) == [])
     agree(COMM.bcast(capsys.readouterr().out) == "x=2\nx=3\n")
