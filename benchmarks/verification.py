@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import ModuleType
 
 from mpi4py import MPI
 
@@ -24,49 +23,30 @@ from benchmarks.common import command
 from benchmarks.common.pages import Fields
 from benchmarks.common.records import Record, Records
 from benchmarks.common.study import Arguments, Keep, Study
-from benchmarks.common.verification import inf_sup, published, tube
-from benchmarks.common.verification.cases import CASES
-from benchmarks.common.walls.inflated_tube import ELEMENTS
+from benchmarks.common.verification.inf_sup import INF_SUP
+from benchmarks.common.verification.part import Part
+from benchmarks.common.verification.published import PUBLISHED
+from benchmarks.common.verification.tube import TUBE
 
-PARTS = {"published": published, "tube": tube, "inf-sup": inf_sup}
-
-#: By part: the field that only its records have, and the values of this field.
-FIELD_OF = {
-    published: ("case", list(CASES)),
-    tube: ("element", list(ELEMENTS)),
-    inf_sup: ("pair", list(inf_sup.PAIRS)),
-}
+#: Parts by name, in the order of the page.
+PARTS = {"published": PUBLISHED, "tube": TUBE, "inf-sup": INF_SUP}
 
 
-def _part(record: Record) -> ModuleType | None:
+def _part(record: Record) -> Part | None:
     """Return the part of the study that a record belongs to, or None."""
-    for part, (field, values) in FIELD_OF.items():
-        if record.get(field) in values:
-            return part
-    return None
-
-
-def _options(parser: argparse.ArgumentParser) -> None:
-    command.add_choices(parser, "--part", list(PARTS))
-    for part in PARTS.values():
-        part.options(parser)
-
-
-def _done(case: Record, records: Records, args: Arguments) -> bool:
-    if _part(case) is tube:
-        return all(records.all(case | {"pressure_mmhg": p}) for p in args.pressures)
-    return bool(records.all(case))
-
-
-def _fields(records: Sequence[Record]) -> Fields:
-    fields: dict[str, object] = {}
-    for part in PARTS.values():
-        fields |= part.fields([record for record in records if _part(record) is part])
-    return fields
+    return next((part for part in PARTS.values() if part.has(record)), None)
 
 
 def _is_known(record: Record) -> bool:
+    """Return True if a record is one of this study."""
     return _part(record) is not None
+
+
+def _options(parser: argparse.ArgumentParser) -> None:
+    """Add the choice of parts, and the options of all parts."""
+    command.add_choices(parser, "--part", list(PARTS))
+    for part in PARTS.values():
+        part.options(parser)
 
 
 def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
@@ -80,9 +60,26 @@ def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
     _part(case).run(case, keep, args, comm)
 
 
+def _is_done(case: Record, records: Records, args: Arguments) -> bool:
+    """Return True if a case has all records of its part."""
+    return _part(case).done(case, records, args)
+
+
+def _fields(records: Sequence[Record]) -> Fields:
+    """Return the values of all parts."""
+    fields: dict[str, object] = {}
+    for part in PARTS.values():
+        fields |= part.fields([record for record in records if part.has(record)])
+    return fields
+
+
 def _draw(records: Sequence[Record], folder: Path) -> Sequence[Fields]:
-    """Draw the errors of the tube."""
-    return tube.draw([record for record in records if _part(record) is tube], folder)
+    """Draw the pictures of all parts."""
+    return [
+        picture
+        for part in PARTS.values()
+        for picture in part.draw([record for record in records if part.has(record)], folder)
+    ]
 
 
 STUDY = Study(
@@ -93,7 +90,7 @@ STUDY = Study(
     options=_options,
     cases=_cases,
     run=_run,
-    done=_done,
+    done=_is_done,
     fields=_fields,
     draw=_draw,
 )

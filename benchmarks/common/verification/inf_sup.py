@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 from mpi4py import MPI
 
@@ -35,75 +36,103 @@ from benchmarks.common import command
 from benchmarks.common.pages import Fields, groups
 from benchmarks.common.records import Record
 from benchmarks.common.study import Arguments, Keep
+from benchmarks.common.verification.part import Part
 from dolfinx_feti.fem.elements import quadratic_with_bubbles
 from dolfinx_feti.meshes.arguments import count
 from dolfinx_feti.runtime.collective import on_root
 
-#: Eigenvalues β² below this one are zero to rounding: their pressures are spurious.
-NOTHING = 1e-10
+#: Eigenvalues β² below this one are zero to rounding: their pressures are spurious. All others on
+#: record are larger than 1e-3.
+ZERO_EIGENVALUE = 1e-10
 
-#: Pairs by name: name on the page, cell, degree of each component of v (or where P2 has bubbles in
-#: addition, in cells or also on faces), and the element of q.
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair:
+    """A pair of elements.
+
+    Args:
+        name: Name on the page.
+        pressure: Family and degree of q.
+        cell: Type of the cells.
+        degree: Degree of each component of v.
+        bubbles: Bubbles that v has in addition to degree 2: ``none``, of ``cells``, or of cells and
+            ``faces``.
+    """
+
+    name: str
+    pressure: tuple[str, int]
+    cell: str = "tetrahedron"
+    degree: int = 2
+    bubbles: str = "none"
+
+    @property
+    def displacement(self) -> basix.ufl._ElementBase:
+        """Element of each component of v."""
+        if self.bubbles == "none":
+            return basix.ufl.element("Lagrange", self.cell, self.degree)
+        return quadratic_with_bubbles(self.cell, faces=self.bubbles == "faces")
+
+
+#: Pairs by their key in a record, in the order of the page.
 PAIRS = {
-    "p1-p0": ("P1–P0", "tetrahedron", 1, ("DG", 0)),
-    "p2-p0": ("P2–P0", "tetrahedron", 2, ("DG", 0)),
-    "p2-p1d": ("P2–P1disc", "tetrahedron", 2, ("DG", 1)),
-    "p2c-p1d": ("P2 with bubbles of cells–P1disc", "tetrahedron", "cells", ("DG", 1)),
-    "p2b-p1d": ("P2 with bubbles of cells and faces–P1disc", "tetrahedron", "faces", ("DG", 1)),
-    "q1-p0": ("Q1–P0", "hexahedron", 1, ("DG", 0)),
-    "q2-p1d": ("Q2–P1disc", "hexahedron", 2, ("DPC", 1)),
-    "p2-p1": ("P2–P1, Taylor–Hood", "tetrahedron", 2, ("Lagrange", 1)),
+    "p1-p0": Pair(name="P1–P0", degree=1, pressure=("DG", 0)),
+    "p2-p0": Pair(name="P2–P0", pressure=("DG", 0)),
+    "p2-p1d": Pair(name="P2–P1disc", pressure=("DG", 1)),
+    "p2c-p1d": Pair(name="P2 with bubbles of cells–P1disc", bubbles="cells", pressure=("DG", 1)),
+    "p2b-p1d": Pair(
+        name="P2 with bubbles of cells and faces–P1disc", bubbles="faces", pressure=("DG", 1)
+    ),
+    "q1-p0": Pair(name="Q1–P0", cell="hexahedron", degree=1, pressure=("DG", 0)),
+    "q2-p1d": Pair(name="Q2–P1disc", cell="hexahedron", pressure=("DPC", 1)),
+    "p2-p1": Pair(name="P2–P1, Taylor–Hood", pressure=("Lagrange", 1)),
 }
 
 
-def options(parser: argparse.ArgumentParser) -> None:
+def _options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this part."""
     add = parser.add_argument
     command.add_choices(parser, "--pair", list(PAIRS))
     add("--cells", type=command.several(count), default=[2, 3, 4], help="along an edge; 2,3,4")
 
 
-def cases(args: Arguments, _comm: MPI.Comm) -> Iterator[Record]:
+def _cases(args: Arguments, _comm: MPI.Comm) -> Iterator[Record]:
     """Yield the pairs on all meshes."""
     for pair, cells in itertools.product(args.pair, args.cells):
         yield {"pair": pair, "cells": cells}
 
 
-def run(case: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
+def _run(case: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     """Compute a constant on the first process."""
     keep({}, on_root(lambda: constant(case["pair"], case["cells"]), comm))
 
 
-def fields(records: Sequence[Record]) -> Fields:
+def _fields(records: Sequence[Record]) -> Fields:
     """Return a row for each pair, in their order."""
     rows = {}
-    for (pair,), mine in groups(records, "pair"):
-        at = {r["cells"]: f"{r['beta']:.3f}" for r in mine}
-        most = max(r["spurious"] for r in mine)
-        rows[pair] = {"name": PAIRS[pair][0], "most": most, "at": at, "sources": mine}
+    for (pair,), of_pair in groups(records, "pair"):
+        rows[pair] = {
+            "name": PAIRS[pair].name,
+            "most": max(record["spurious"] for record in of_pair),
+            "at": {record["cells"]: f"{record['beta']:.3f}" for record in of_pair},
+            "sources": of_pair,
+        }
     return {"pairs": [rows[pair] for pair in PAIRS if pair in rows]}
 
 
 def constant(pair: str, cells: int) -> Record:
-    """Compute β of a pair on a cube.
-
-    If there are spurious pressures, β is that of the others.
+    """Compute β of a pair on the unit cube; spurious pressures do not count.
 
     Args:
         pair: A key of :data:`PAIRS`.
         cells: Bricks along an edge, each of six tetrahedra or one hexahedron.
     """
-    _, cell, degree, pressure = PAIRS[pair]
-    mesh = dolfinx.mesh.create_unit_cube(
-        MPI.COMM_SELF, cells, cells, cells, cell_type=getattr(dolfinx.mesh.CellType, cell)
+    elements = PAIRS[pair]
+    cell = getattr(dolfinx.mesh.CellType, elements.cell)
+    mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, cells, cells, cells, cell_type=cell)
+    V = dolfinx.fem.functionspace(
+        mesh, basix.ufl.blocked_element(elements.displacement, shape=(3,))
     )
-    element = (
-        basix.ufl.element("Lagrange", cell, degree)
-        if isinstance(degree, int)
-        else quadratic_with_bubbles(cell, faces=degree == "faces")
-    )
-    V = dolfinx.fem.functionspace(mesh, basix.ufl.blocked_element(element, shape=(3,)))
-    Q = dolfinx.fem.functionspace(mesh, pressure)
+    Q = dolfinx.fem.functionspace(mesh, elements.pressure)
     u = ufl.TrialFunction(V)
     v = ufl.TestFunction(V)
     p = ufl.TrialFunction(Q)
@@ -118,10 +147,10 @@ def constant(pair: str, cells: int) -> Record:
     coupling = B[:, free].toarray()
     S = coupling @ factor.solve(coupling.T)  # B A⁻¹ Bᵀ
     λ = scipy.linalg.eigh((S + S.T) / 2, M.toarray(), eigvals_only=True)
-    felt = λ[λ > NOTHING]
+    nonzero = λ[λ > ZERO_EIGENVALUE]
     return {
-        "beta": float(np.sqrt(felt[0])),
-        "spurious": len(λ) - len(felt) - 1,  # the constant is none
+        "beta": float(np.sqrt(nonzero[0])),
+        "spurious": len(λ) - len(nonzero) - 1,  # the constant has a mean
         "displacements": len(free),
         "pressures": len(λ),
     }
@@ -133,3 +162,6 @@ def _assembled(form: ufl.Form) -> scipy.sparse.csr_array:
     K = scipy.sparse.csr_array(M.getValuesCSR()[::-1], shape=M.getSize())
     M.destroy()
     return K
+
+
+INF_SUP = Part(key="pair", values=PAIRS, options=_options, cases=_cases, run=_run, fields=_fields)

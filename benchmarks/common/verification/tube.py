@@ -18,33 +18,37 @@ from mpi4py import MPI
 from benchmarks.common import command
 from benchmarks.common.pages import Fields, groups, section
 from benchmarks.common.plots import COLOURS, curve, picture
-from benchmarks.common.records import Record
+from benchmarks.common.records import Record, Records
 from benchmarks.common.study import Arguments, Keep
+from benchmarks.common.verification.part import Part
 from benchmarks.common.walls.inflated_tube import ELEMENTS, create_inflated_tube, create_slice
 from benchmarks.common.walls.oracle import KPA_PER_MMHG, Wall, inflate
 from dolfinx_feti.loading import LoadStep, Steps
 from dolfinx_feti.meshes.arguments import count, positive
 
-#: With multipliers: bound of the relative change of volume of a cell, and κ of the exact solution.
-VOLUME = 1e-6
+#: Bound of the relative change of volume of each cell, with multipliers.
+VOLUME_TOLERANCE = 1e-6
+#: κ of the exact solution, with multipliers [kPa].
 INCOMPRESSIBLE = float("inf")
 
+#: Increments of the pressure [mmHg], and their growth.
 STEPS = Steps(first=10.0, least=0.5, growth=2.0)
 
 #: Pressure at which κ is compared [mmHg]: that of an artery.
 ARTERIAL = 100.0
 
+#: Options that are keys of a case.
 CASE = ("element", "size", "c", "kappa", "augmented", "subdomains")
 
-#: Elements: their name on the page and their style in the figure, which is dotted with multipliers.
-WAYS = {
+#: Name of each pair on the page, and its style in the figure, which is dotted with multipliers.
+STYLES = {
     "p2-p0": ("P2–P0", {"color": COLOURS[2], "marker": "^"}),
     "p2b-p1d": ("P2⁺–P1disc", {"color": COLOURS[0], "marker": "^"}),
     "q2-p1d": ("Q2–P1disc", {"color": COLOURS[1], "marker": "s"}),
 }
 
 
-def options(parser: argparse.ArgumentParser) -> None:
+def _options(parser: argparse.ArgumentParser) -> None:
     """Add the options of this part."""
     add = parser.add_argument
     pressures = {"type": command.several(positive), "default": [10.0, 100.0, 300.0]}
@@ -57,7 +61,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--subdomains", type=count, default=8, help="over all processes, 8")
 
 
-def cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
+def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     """Yield the tube that the options describe.
 
     Raises:
@@ -69,7 +73,7 @@ def cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     yield {name: getattr(args, name) for name in CASE} | {"degree": degree, "processes": comm.size}
 
 
-def run(_case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
+def _run(_case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
     """Inflate the tube; keep a record for each pressure. Collective."""
     tube = create_inflated_tube(
         create_slice(comm, size=args.size, element=args.element),
@@ -77,7 +81,7 @@ def run(_case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
         kappa=args.kappa,
         subdomains=args.subdomains,
         element=args.element,
-        volume_tolerance=VOLUME if args.augmented else None,
+        volume_tolerance=VOLUME_TOLERANCE if args.augmented else None,
     )
     steps: list[LoadStep] = []
 
@@ -86,17 +90,22 @@ def run(_case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
         if step.load in args.pressures:
             kappa = INCOMPRESSIBLE if args.augmented else args.kappa
             truth = inflate(step.load * KPA_PER_MMHG, Wall(c=args.c, kappa=kappa))
-            found = _cost(steps) | {"dofs": tube.body.dofs} | tube.compare(truth)
+            values = _cost(steps) | {"dofs": tube.body.dofs} | tube.compare(truth)
             if args.augmented:
                 changes = tube.body.problem.volume_changes
-                found |= {"volume_change": changes[-1], "updates": len(changes)}
-            keep({"pressure_mmhg": step.load}, found)
+                values |= {"volume_change": changes[-1], "updates": len(changes)}
+            keep({"pressure_mmhg": step.load}, values)
 
     tube.body.inflate(args.pressures, STEPS, on_step=report, unit="mmHg")
 
 
+def _is_done(case: Record, records: Records, args: Arguments) -> bool:
+    """Return True if each of the pressures has a record."""
+    return all(records.all(case | {"pressure_mmhg": p}) for p in args.pressures)
+
+
 def _cost(steps: Sequence[LoadStep]) -> Record:
-    """Count what load steps took, their failed attempts included."""
+    """Return the cost of all load steps, with their failed attempts."""
     newton = [s for step in steps for s in step.all_steps]
     ratios = [s.linear_residual / s.linear_rtol for s in newton if s.linear_rtol > 0.0]
     return {
@@ -110,20 +119,21 @@ def _cost(steps: Sequence[LoadStep]) -> Record:
     }
 
 
-def fields(records: Sequence[Record]) -> Fields:
+def _fields(records: Sequence[Record]) -> Fields:
     """Return rows of elements and sizes at the highest pressure, and of each κ at ARTERIAL."""
-    top = max((r["pressure_mmhg"] for r in records), default=0.0)
+    highest = max((record["pressure_mmhg"] for record in records), default=0.0)
     rows = []
-    for record in (r for r in records if r["pressure_mmhg"] == top):
-        name, style = WAYS[record["element"]]
-        more = {"way": name, "style": style}
-        if record["augmented"]:
-            more = {"way": f"{name}, λ", "style": style | {"ls": ":"}}
-        rows.append(record | more | {"sources": [record]})
-    order = list(WAYS)
+    for record in records:
+        if record["pressure_mmhg"] == highest:
+            name, style = STYLES[record["element"]]
+            if record["augmented"]:
+                name = f"{name}, λ"
+                style = style | {"ls": ":"}
+            rows.append(record | {"way": name, "style": style, "sources": [record]})
+    order = list(STYLES)
     rows.sort(key=lambda r: (order.index(r["element"]), r["augmented"], -r["size"]))
     kappas = [
-        {**record, "way": WAYS[record["element"]][0], "sources": [record]}
+        {**record, "way": STYLES[record["element"]][0], "sources": [record]}
         for record in records
         if record["pressure_mmhg"] == ARTERIAL and not record["augmented"]
     ]
@@ -131,17 +141,29 @@ def fields(records: Sequence[Record]) -> Fields:
     return {"ways": [{"rows": rows}], "kappas": section(kappas), "arterial": ARTERIAL}
 
 
-def draw(records: Sequence[Record], folder: Path) -> list[Fields]:
+def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
     """Draw the errors of both stresses over dofs and over seconds."""
-    rows = fields(records)["ways"][0]["rows"]
+    rows = _fields(records)["ways"][0]["rows"]
     if not rows:
         return []
     with picture(folder / "tube.png", 2, 2, {r["way"]: r["style"] for r in rows}) as axes:
         for line, stress in zip(axes, ("tt", "rr"), strict=True):
             for ax, over in zip(line, ("dofs", "seconds"), strict=True):
-                for _, mine in groups(rows, "way"):
-                    points = [(r[over], r[f"recovered_{stress}_error"]) for r in mine]
-                    curve(ax, points, **mine[0]["style"])
+                for _, of_element in groups(rows, "way"):
+                    points = [(row[over], row[f"recovered_{stress}_error"]) for row in of_element]
+                    curve(ax, points, **of_element[0]["style"])
                 ax.set(xscale="log", yscale="log", xlabel=over)
                 ax.set_ylabel({"tt": "error of σ_θθ", "rr": "error of σ_rr"}[stress])
     return [{"picture": "tube.png"}]
+
+
+TUBE = Part(
+    key="element",
+    values=ELEMENTS,
+    options=_options,
+    cases=_cases,
+    run=_run,
+    fields=_fields,
+    done=_is_done,
+    draw=_draw,
+)
