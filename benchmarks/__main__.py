@@ -7,35 +7,38 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 HERE = Path(__file__).parent
 RESULTS = HERE.parent / "docs/results"
 
-#: Names of files of records that differ from the name of the study: ``STUDY.page`` without suffix.
-RECORDS = {"compare": "speed", "cube": "linear", "load_stepping": "loading"}
+#: ``page`` of a study, which names its file of records; studies are not imported, as this is slow.
+PAGE = re.compile(r'^    page="(\w+)",$', re.M)
 
 
 def studies() -> Iterator[tuple[str, str, str]]:
-    """Yield the name of each study, the first line of its docstring, and :func:`_took`."""
+    """Yield the name of each study, the first line of its docstring, and its recorded cost."""
     for path in sorted(HERE.glob("[a-z]*.py")):
-        about = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-        records = RESULTS / f"{RECORDS.get(path.stem, path.stem)}.json"
-        took = _took(json.loads(records.read_text(encoding="utf-8"))) if records.is_file() else ""
-        yield path.stem, about.split("\n")[0], took
+        source = path.read_text(encoding="utf-8")
+        about = ast.get_docstring(ast.parse(source)) or ""
+        (page,) = PAGE.findall(source)
+        records = RESULTS / f"{page}.json"
+        cost = _cost(json.loads(records.read_text(encoding="utf-8"))) if records.is_file() else ""
+        yield path.stem, about.split("\n")[0], cost
 
 
-def _took(records: list[dict[str, object]]) -> str:
+def _cost(records: list[dict[str, object]]) -> str:
     """Return the number of cases, and the sum of their recorded seconds, as text."""
     names = ("seconds", "seconds_setup", "seconds_solve", "seconds_end_to_end", "seconds_total")
-    known = (record.get(name) for record in records for name in names)
-    seconds = sum(value for value in known if isinstance(value, int | float))
+    values = (record.get(name) for record in records for name in names)
+    seconds = sum(value for value in values if isinstance(value, int | float))
     if seconds == 0:
         return f" ({len(records)} cases)"
     return f" ({len(records)} cases, at least {seconds / 60:.0f} min)"
 
 
 if __name__ == "__main__":
-    for name, about, took in studies():
-        print(f"python3 -m benchmarks.{name:14s} {about}{took}")
+    for name, about, cost in studies():
+        print(f"python3 -m benchmarks.{name:14s} {about}{cost}")

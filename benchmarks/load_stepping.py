@@ -40,28 +40,35 @@ from dolfinx_feti.output import cell_values, writable_folder
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.collective import on_root
 
-#: The points, and the keys of a wall with its solver.
+#: Names of the points.
 NAMES = "ABCDE"
+
+#: Keys that the states of one run have in common.
 RUN = ("geometry", "size", "degree", "subdomains", "type")
 
 TYPES = ("all_floating", "classical")
 
-#: Stiffness of the matrix material, κ [kPa], and the relative tolerance of the linear systems.
+#: Parameters of all cases: stiffness of the matrix material and κ [kPa], and the relative tolerance
+#: of the linear systems.
 FIXED = {"c": 6.0, "kappa": 1000.0, "rtol": 1e-8}
 
-LEAST = 0.05  # mmHg
+#: Least increment of the pressure after failures [mmHg].
+MIN_INCREMENT = 0.05
 
 #: Most Newton steps of a load step. It takes many of them after a fold, where the wall buckles.
 NEWTON_STEPS = 100
 
+#: Name of a run with one subdomain, which is a direct solver.
 DIRECT = "one subdomain, direct"
 
+#: Curve of each kind of run.
 VARIANTS = {
     "all-floating": {"color": "#8a8f98", "marker": "o"},
     "classical": {"color": "#1c1c1c", "marker": "s", "ls": "--"},
     DIRECT: {"color": COLOURS[1], "marker": "^", "ls": ":"},
 }
 
+#: Curve of each point.
 POINTS = {name: {"color": colour} for name, colour in zip(NAMES, COLOURS, strict=True)}
 
 
@@ -83,23 +90,26 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
 
 
 def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
-    """Inflate a wall by one variant, with a record for each accepted load step. Collective."""
+    """Inflate the wall of a case, and keep a record of each accepted load step. Collective."""
     folder = writable_folder(args.folder, comm)
     wall, _ = open_wall(args.geometry, comm, size=args.size, folder=folder)
     options = {"feti_type": case["type"], "ksp_rtol": case["rtol"], "snes_max_it": NEWTON_STEPS}
     names = ("degree", "c", "kappa", "subdomains")
     body = create_wall_problem(wall, petsc_options=options, **{name: case[name] for name in names})
-    kept = _checkpoint(args, case, comm)
+    checkpoint = _checkpoint(args, case, comm)
     points = five_points(wall.mesh)
-    done = len(kept.record["steps"]) if kept is not None and kept.restart else 0
+    count_of_steps = 0
+    if checkpoint is not None and checkpoint.restart:
+        count_of_steps = len(checkpoint.record["steps"])
 
     def report(step: LoadStep) -> None:
-        nonlocal done
-        done += 1
-        keep({"pressure_mmhg": step.load}, {"steps": done} | _cost(step) | _state(body, points))
+        nonlocal count_of_steps
+        count_of_steps += 1
+        values = {"steps": count_of_steps} | _cost(step) | _state(body, points)
+        keep({"pressure_mmhg": step.load}, values)
 
-    steps = Steps(first=args.first, least=min(LEAST, args.first))
-    body.inflate([args.pressure], steps, on_step=report, checkpoint=kept, unit="mmHg")
+    steps = Steps(first=args.first, least=min(MIN_INCREMENT, args.first))
+    body.inflate([args.pressure], steps, on_step=report, checkpoint=checkpoint, unit="mmHg")
 
 
 def _checkpoint(args: Arguments, case: Record, comm: MPI.Comm) -> Checkpoint | None:
@@ -111,23 +121,23 @@ def _checkpoint(args: Arguments, case: Record, comm: MPI.Comm) -> Checkpoint | N
     if args.checkpoint is None:
         return None
     folder = args.checkpoint / f"{case['geometry']}-{case['type']}"
-    kept = on_root(lambda: (folder / "state.npz").exists(), comm)
-    if kept and args.again:
+    has_state = on_root(lambda: (folder / "state.npz").exists(), comm)
+    if has_state and args.again:
         raise ValueError(f"--again begins anew, but {folder} holds a run: name another folder")
-    return Checkpoint(folder, comm, restart=kept)
+    return Checkpoint(folder, comm, restart=has_state)
 
 
 def _cost(step: LoadStep) -> Record:
-    """Return what an accepted load step took."""
-    solved = step.all_steps
+    """Return the cost of an accepted load step."""
+    newton_steps = step.all_steps
     return {
         "increment_mmhg": step.increment,
-        "newton_iterations": len(solved),
-        "linear_iterations": sum(s.linear_iterations for s in solved),
+        "newton_iterations": len(newton_steps),
+        "linear_iterations": sum(s.linear_iterations for s in newton_steps),
         "linear_iterations_mean": float(np.mean([s.linear_iterations for s in step.history])),
         "max_linear_residual": max(s.linear_residual for s in step.history),
         "failures": step.failures,
-        "largest_shift": max(s.shift for s in solved),
+        "largest_shift": max(s.shift for s in newton_steps),
         "negative": step.history[-1].negative,
         "seconds": step.seconds,
     }
@@ -161,67 +171,75 @@ def five_points(mesh: dolfinx.mesh.Mesh) -> list[Numbers]:
     for _ in NAMES:
         best = (float(distance.max(initial=-1.0)), -mesh.comm.rank)
         owner = -mesh.comm.allreduce(best, op=MPI.MAX)[1]
-        mine = [int(distance.argmax())] if mesh.comm.rank == owner else []
-        points.append(np.array(mine, dtype=np.int64))
-        x = mesh.comm.bcast(X[mine[0]] if mine else None, root=owner)
+        cell = [int(distance.argmax())] if mesh.comm.rank == owner else []
+        points.append(np.array(cell, dtype=np.int64))
+        x = mesh.comm.bcast(X[cell[0]] if cell else None, root=owner)
         nearest = np.linalg.norm(X - x, axis=1)
         distance = nearest if len(points) == 1 else np.minimum(distance, nearest)
     return points
 
 
 def at_points(body: Body, points: Sequence[Numbers]) -> tuple[Array, Array]:
-    """Return u_norm [mm] (eq. 57) and σ_mag [kPa] at the points, on all processes. Collective."""
+    """Return u_norm [mm] (eq. 57) and σ_mag [kPa] at points, (n_points,) each. Collective.
+
+    Args:
+        body: The wall.
+        points: For each point its cell on the process that owns it, (1,), or nothing, (0,).
+    """
     mesh = body.u.function_space.mesh
     norm = np.linalg.norm(cell_values(body.u, mesh), axis=1)
     stress = cell_values(kinematics.stress_magnitude(body.stress), mesh)
-    own = np.array([[norm[cell].sum(), stress[cell].sum()] for cell in points])
-    return tuple(mesh.comm.allreduce(own).T)
+    of_process = np.array([[norm[cell].sum(), stress[cell].sum()] for cell in points])
+    return tuple(mesh.comm.allreduce(of_process).T)
 
 
 def _fields(records: Sequence[Record]) -> Fields:
-    runs = [_rising(mine) for _, mine in groups(records, *RUN)]
-    first = {name: records[0][name] for name in ("c", "kappa")}
-    return first | {"runs": [_summary(steps) for steps in runs]}
+    """Return the parameters of all runs, and a row for each run."""
+    runs = [_by_pressure(of_run) for _, of_run in groups(records, *RUN)]
+    parameters = {name: records[0][name] for name in ("c", "kappa")}
+    return parameters | {"runs": [_summary(steps) for steps in runs]}
 
 
-def _rising(steps: Sequence[Record]) -> list[Record]:
+def _by_pressure(steps: Sequence[Record]) -> list[Record]:
+    """Return the records of load steps in the order of their pressure."""
     return sorted(steps, key=lambda step: step["pressure_mmhg"])
 
 
 def _summary(steps: Sequence[Record]) -> dict[str, object]:
     """Return a row with the sums of a run and its last state."""
-    every = {name: [step[name] for step in steps] for name in steps[0]}
-    mean = every["linear_iterations_mean"]
-    seconds = every["seconds"]
+    columns = {name: [step[name] for step in steps] for name in steps[0]}
+    mean_iterations = columns["linear_iterations_mean"]
+    seconds = columns["seconds"]
     return steps[-1] | {
         "variant": _variant(steps[0]),
         "sources": steps,
         "load_steps": len(steps),
-        "newton": sum(every["newton_iterations"]),
-        "linear": sum(every["linear_iterations"]),
-        "fewest": min(mean),
-        "most": max(mean),
-        "worst": max(every["max_linear_residual"]),
+        "newton": sum(columns["newton_iterations"]),
+        "linear": sum(columns["linear_iterations"]),
+        "fewest": min(mean_iterations),
+        "most": max(mean_iterations),
+        "worst": max(columns["max_linear_residual"]),
         "seconds_in_all": None if None in seconds else sum(seconds),
     }
 
 
 def _variant(step: Record) -> str:
+    """Return the name of a run: a key of VARIANTS."""
     return DIRECT if step["subdomains"] == 1 else step["type"].replace("_", "-")
 
 
 def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
     """Draw a picture for each mesh and degree that FETI ran on."""
     pictures = []
-    for (geometry, size, degree), mine in groups(records, "geometry", "size", "degree"):
-        if any(_variant(step) != DIRECT for step in mine):
+    for (geometry, size, degree), of_mesh in groups(records, "geometry", "size", "degree"):
+        if any(_variant(step) != DIRECT for step in of_mesh):
             name = str(geometry)
             mesh = str(geometry)
             if size is not None:  # the generator's default
                 name = f"{geometry}_{size:g}"
                 mesh = f"{geometry}, edges of {size:g} mm"
             file = f"loading_{name}_p{degree}.png"
-            _draw_panels(folder / file, _rising(mine))
+            _draw_panels(folder / file, _by_pressure(of_mesh))
             pictures.append({"picture": file, "mesh": mesh, "degree": degree})
     return pictures
 
@@ -257,7 +275,8 @@ def _draw_panels(path: Path, records: Sequence[Record]) -> None:
 
 
 def _is_known(record: Record) -> bool:
-    return "u_norm" in record
+    """Return True if a record is a state of a run."""
+    return record.keys() >= {*RUN, "pressure_mmhg", "u_norm"}
 
 
 def _is_done(case: Record, records: Records, args: Arguments) -> bool:

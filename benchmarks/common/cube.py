@@ -32,6 +32,7 @@ from dolfinx_feti import LinearProblem
 from dolfinx_feti.meshes.cube import create_cube
 from dolfinx_feti.runtime import compat
 
+#: Young's modulus and Poisson's ratio, the paper's.
 YOUNG = 210.0
 POISSON = 0.45
 
@@ -44,7 +45,8 @@ QUADRATURE = 6
 #: Relative reduction of the dual residual, the paper's.
 RTOL = 1e-8
 
-#: Which subcubes are stiff, by their places along the three axes and their number on an edge.
+#: Functions that mark stiff subcubes, (n,). Arguments: indices of the subcubes along the three axes,
+#: (n, 3); number of subcubes on an edge.
 PATTERNS = {
     "none": lambda place, edge: np.zeros(len(place), dtype=bool),
     "checkerboard": lambda place, edge: place.sum(axis=1) % 2 == 1,
@@ -102,8 +104,9 @@ def create_problem(
     """Mesh the cube of a case. Collective.
 
     Returns:
-        A function that creates the FETI problem, whose PETSc options have the prefix ``cube_``, and
-        the fundamental solution, which is exact if the coefficient does not jump.
+        A function that creates the problem, whose PETSc options have the prefix ``cube_``: memory
+        is measured from before its call. And the fundamental solution, which is exact if the
+        coefficient does not jump.
     """
     subdomains = case.subdomains_per_edge
     mesh, part = create_cube(comm, subdomains, 2 ** (case.level - 1))
@@ -114,10 +117,11 @@ def create_problem(
     lmbda = YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
     energy = 2 * mu * ufl.inner(_strain(u), _strain(v)) + lmbda * ufl.div(u) * ufl.div(v)
     if case.pattern != "none":
-        place = np.column_stack(np.unravel_index(part, (subdomains,) * 3))
+        indices = np.column_stack(np.unravel_index(part, (subdomains,) * 3))
+        is_stiff = PATTERNS[case.pattern](indices, subdomains)
         factor = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
-        own = factor.function_space.dofmap.list[: len(part), 0]
-        factor.x.array[own] = np.where(PATTERNS[case.pattern](place, subdomains), case.jump, 1.0)
+        dofs_of_cells = factor.function_space.dofmap.list[: len(part), 0]
+        factor.x.array[dofs_of_cells] = np.where(is_stiff, case.jump, 1.0)
         energy = factor * energy
     exact = _fundamental_solution(mesh)
     values = dolfinx.fem.Function(V)
@@ -126,7 +130,7 @@ def create_problem(
     surface = dolfinx.mesh.exterior_facet_indices(mesh.topology)
     dofs = dolfinx.fem.locate_dofs_topological(V, 2, surface)
     L = ufl.inner(dolfinx.fem.Constant(mesh, np.zeros(3)), v) * ufl.dx
-    tear = partial(
+    create = partial(
         LinearProblem,
         energy * ufl.dx,
         L,
@@ -135,11 +139,11 @@ def create_problem(
         petsc_options_prefix="cube_",
         petsc_options=case.options(),
     )
-    return tear, exact
+    return create, exact
 
 
 def solve(linear: LinearProblem) -> Record:
-    """Solve; return sizes, iterations, spectrum and seconds. Collective."""
+    """Solve a problem; return sizes, iterations, spectrum and seconds. Collective."""
     comm = linear.u.function_space.mesh.comm
     coarse = event_clock(["FETICoarse"], comm)
     watch = Stopwatch(comm)
@@ -187,6 +191,7 @@ def _strain(u: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
 
 
 def _fundamental_solution(mesh: dolfinx.mesh.Mesh) -> ufl.core.expr.Expr:
+    """Return Kelvin's solution with its source at SOURCE (eq. 52)."""
     d = ufl.SpatialCoordinate(mesh) - ufl.as_vector(SOURCE)
     r = ufl.sqrt(ufl.dot(d, d))
     scale = (1 + POISSON) / (8 * np.pi * YOUNG * (1 - POISSON))
@@ -195,5 +200,5 @@ def _fundamental_solution(mesh: dolfinx.mesh.Mesh) -> ufl.core.expr.Expr:
 
 
 def _number(value: float) -> float | None:
-    """Return a number, or None if it is not finite, as JSON has no NaN."""
+    """Return a number, or None if it is not finite: JSON has no NaN."""
     return float(value) if np.isfinite(value) else None
