@@ -41,6 +41,7 @@ from dolfinx_feti import LinearProblem, NonlinearProblem
 from dolfinx_feti.loading import Checkpoint
 from dolfinx_feti.meshes.arguments import count, positive
 
+#: Solvers of a command line without --solvers.
 USUAL = ("feti", "mumps", "gamg")
 
 #: Increase of the load of a loaded body, relative to the load. The step is small enough for the
@@ -94,7 +95,7 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
         yield shared | case | ({} if per is None else {"per": per})
 
 
-def _done(case: Record, records: Records, args: Arguments) -> bool:
+def _is_done(case: Record, records: Records, args: Arguments) -> bool:
     """Return True if all solvers have a record."""
     return all(records.all(case | {"solver": name}) for name in _solvers(args))
 
@@ -110,46 +111,51 @@ def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
         "subdomains": comm.allreduce(problem.decomposition.count),
     }
     if args.path is not None:
-        found = path.follow(body, args.path, direct=[name for name in solvers if name != "feti"])
+        direct = [name for name in solvers if name != "feti"]
+        measured = path.follow(body, args.path, direct=direct)
     else:
         if args.loaded is not None:
             names = ("geometry", "degree", "kappa", "wanted_dofs")
-            place = args.folder / "_".join([*(str(case[n]) for n in names), f"{args.loaded:g}"])
-            path.load(body, args.loaded, Checkpoint(place, comm, restart=place.exists()))
+            name = "_".join([*(str(case[n]) for n in names), f"{args.loaded:g}"])
+            folder = args.folder / name
+            path.load(body, args.loaded, Checkpoint(folder, comm, restart=folder.exists()))
             body.set_load(args.loaded * (1.0 + LOAD_INCREASE))
         elif (first_load := GEOMETRIES[args.geometry].first_load) is not None:
             body.set_load(first_load)
-        found = _median([_step(problem, solvers, comm) for _ in range(args.rounds)])
-    for record in found:
+        measured = _median([_step(problem, solvers, comm) for _ in range(args.rounds)])
+    for record in measured:
         keep({"solver": record["solver"]}, size | record)
 
 
 def _step(problem: Problem, solvers: Sequence[str], comm: MPI.Comm) -> list[Record]:
-    """Solve the next Newton step with each solver."""
-    ordered = {name: opponent.options for name, opponent in OPPONENTS.items() if name in solvers}
-    if "pardiso" in ordered:
-        ordered["pardiso"] = {**ordered["pardiso"], "definite": True}
-    begun = time.process_time()
-    found = dolfinx_feti.compare(problem, ordered, definite=True).records
-    cpu = comm.allreduce(time.process_time() - begun, op=MPI.MAX)
-    for record in found:
-        record |= {"seconds_cpu": cpu} if len(found) == 1 and record["solver"] == "feti" else {}
-        difference = record.pop("difference_to_direct", None)
-        record |= {"difference_to_mumps": difference, "newton_iterations": 1}
-    return found
+    """Solve the next Newton step with each solver; return a record for each. Collective."""
+    options = {name: opponent.options for name, opponent in OPPONENTS.items() if name in solvers}
+    if "pardiso" in options:
+        options["pardiso"] = {**options["pardiso"], "definite": True}
+    started = time.process_time()
+    records = dolfinx_feti.compare(problem, options, definite=True).records
+    cpu = comm.allreduce(time.process_time() - started, op=MPI.MAX)
+    if [record["solver"] for record in records] == ["feti"]:
+        records[0]["seconds_cpu"] = cpu
+    for record in records:
+        record["difference_to_mumps"] = record.pop("difference_to_direct", None)
+        record["newton_iterations"] = 1
+    return records
 
 
 def _median(rounds: Sequence[list[Record]]) -> list[Record]:
     """Return the record of each solver's median round, with the seconds of all rounds."""
-    found = []
-    for several in zip(*rounds, strict=True):
-        ordered = sorted(several, key=seconds)
-        each = [[r.get("seconds_setup"), r.get("seconds_solve")] for r in several]
-        record = ordered[(len(ordered) - 1) // 2] | {"seconds_rounds": each}
+    medians = []
+    for of_solver in zip(*rounds, strict=True):
+        ordered = sorted(of_solver, key=seconds)
+        record = dict(ordered[(len(ordered) - 1) // 2])
+        record["seconds_rounds"] = [
+            [r.get("seconds_setup"), r.get("seconds_solve")] for r in of_solver
+        ]
         if "seconds_cpu" in record:
-            record["seconds_cpu"] = min(r["seconds_cpu"] for r in several)
-        found.append(record)
-    return found
+            record["seconds_cpu"] = min(r["seconds_cpu"] for r in of_solver)
+        medians.append(record)
+    return medians
 
 
 def _create_body(case: Record, folder: Path, comm: MPI.Comm) -> bodies.Body | LinearProblem:
@@ -172,6 +178,7 @@ def _create_body(case: Record, folder: Path, comm: MPI.Comm) -> bodies.Body | Li
 
 
 def _is_known(record: Record) -> bool:
+    """Return True if a record is one of this study, and its solver and body have a name."""
     is_of_study = {"solver", "geometry", "threads", "path_mmhg", "degree"} <= record.keys()
     return is_of_study and record["solver"] in OPPONENTS and record["geometry"] in GEOMETRIES
 
@@ -184,7 +191,7 @@ STUDY = Study(
     options=_options,
     cases=_cases,
     run=_run,
-    done=_done,
+    done=_is_done,
     fields=fields,
     draw=draw_compressible,
 )

@@ -86,7 +86,7 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
             case = dict(zip(NAMES, each, strict=True))
             size, subdomains, pressure = WALLS[case["geometry"]]
             yield case | {
-                "kappa": case["kappa"],
+                "kappa": float(case["kappa"]),
                 "size": args.size or size,
                 "subdomains": args.subdomains or subdomains,  # before a rim is cut off
                 "pressure": args.pressure or pressure,

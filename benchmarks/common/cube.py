@@ -45,7 +45,7 @@ QUADRATURE = 6
 #: Relative reduction of the dual residual, the paper's.
 RTOL = 1e-8
 
-#: Functions that mark stiff subcubes, (n,). Arguments: indices of the subcubes along the three axes,
+#: Functions that mark stiff subcubes, (n,). Arguments: indices of each subcube along three axes,
 #: (n, 3); number of subcubes on an edge.
 PATTERNS = {
     "none": lambda place, edge: np.zeros(len(place), dtype=bool),
