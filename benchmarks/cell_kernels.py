@@ -13,11 +13,11 @@ flags, and with ``-O3 -march=native``, which the package's code has.
 from __future__ import annotations
 
 import argparse
+import math
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from mpi4py import MPI
 
@@ -36,28 +36,30 @@ from dolfinx_feti.fem.condensation.cellwise_forms import CellwiseForms
 from dolfinx_feti.fem.decomposition import decompose, tear
 from dolfinx_feti.fem.split_form import split_form, split_torn_form
 from dolfinx_feti.meshes.arguments import count
-from dolfinx_feti.runtime.arrays import Array
 
-#: Flags of the C compiler for FFCx's code; none for the package's kernels.
+#: Flags of the C compiler for FFCx's code besides dolfinx's; None for the package's kernels.
 CODES: dict[str, list[str] | None] = {
     "kernels": None,
     "FFCx": [],
     "FFCx -O3": ["-O3", "-march=native", "-g0"],
 }
 
+#: Forms that are timed.
+FORMS = ("tangent", "residual", "energy", "blocks")
+
 #: Subdomains, of some 2000 dofs each.
 SUBDOMAINS = 10
 
 
 @dataclass(frozen=True, slots=True)
-class Element:
-    """Elements of u and p, and cells through, around and along the wall.
+class Discretisation:
+    """Elements of u and p, and the mesh of the tube.
 
     Attributes:
         cell: Type of the cells.
         degree: Of the displacement.
         pressure: Element of the pressure.
-        cells: Through, around, along.
+        cells: Cells through, around and along the wall.
     """
 
     cell: dolfinx.mesh.CellType
@@ -66,15 +68,16 @@ class Element:
     cells: tuple[int, int, int]
 
 
+#: Discretisations by the name of their elements.
 ELEMENTS = {
-    "P1–P0": Element(dolfinx.mesh.CellType.tetrahedron, 1, ("DG", 0), (6, 30, 30)),
-    "P2–P0": Element(dolfinx.mesh.CellType.tetrahedron, 2, ("DG", 0), (3, 12, 20)),
-    "Q2–P1": Element(dolfinx.mesh.CellType.hexahedron, 2, ("DPC", 1), (3, 12, 20)),
+    "P1–P0": Discretisation(dolfinx.mesh.CellType.tetrahedron, 1, ("DG", 0), (6, 30, 30)),
+    "P2–P0": Discretisation(dolfinx.mesh.CellType.tetrahedron, 2, ("DG", 0), (3, 12, 20)),
+    "Q2–P1": Discretisation(dolfinx.mesh.CellType.hexahedron, 2, ("DPC", 1), (3, 12, 20)),
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Artery:
+class ArteryForms:
     """The forms of the body.
 
     Attributes:
@@ -92,7 +95,7 @@ class Artery:
     blocks: list[ufl.Form]
 
 
-def create_tube(element: Element) -> dolfinx.mesh.Mesh:
+def create_tube_mesh(element: Discretisation) -> dolfinx.mesh.Mesh:
     """Create a quarter of a tube: radii 1 and 1.3 mm, length 3 mm."""
     mesh = dolfinx.mesh.create_box(
         MPI.COMM_SELF, [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]], list(element.cells), element.cell
@@ -106,9 +109,9 @@ def create_tube(element: Element) -> dolfinx.mesh.Mesh:
     return mesh
 
 
-def create_artery(element: Element) -> Artery:
-    """Create the forms, at a state with all strains."""
-    mesh = create_tube(element)
+def create_forms(element: Discretisation) -> ArteryForms:
+    """Create the forms at a state in which no strain vanishes."""
+    mesh = create_tube_mesh(element)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", element.degree, (3,)))
     u = dolfinx.fem.Function(V)
     u.interpolate(lambda x: 0.02 * np.stack([x[1], x[0] * x[2], x[2]]))
@@ -127,7 +130,7 @@ def create_artery(element: Element) -> Artery:
     F_u = ufl.derivative(energy, u)
     F_p = ufl.derivative(energy, p)
     blocks = [ufl.derivative(F_u, p), ufl.derivative(F_p, u), ufl.derivative(F_p, p), F_p]
-    return Artery(u, energy, F_u, ufl.derivative(F_u, u), blocks)
+    return ArteryForms(u, energy, F_u, ufl.derivative(F_u, u), blocks)
 
 
 def shortest(work: Callable[[], object], rounds: int) -> float:
@@ -141,8 +144,8 @@ def shortest(work: Callable[[], object], rounds: int) -> float:
 
 
 def _run(case: Record, keep: Keep, args: Arguments, _: MPI.Comm) -> None:
-    """Compile with an empty cache, and assemble."""
-    artery = create_artery(ELEMENTS[case["element"]])
+    """Compile the forms with an empty cache, assemble them, and keep the seconds of both."""
+    artery = create_forms(ELEMENTS[case["element"]])
     V = artery.u.function_space
     flags = CODES[case["code"]]
     jit_options: dict[str, object] = {}
@@ -185,39 +188,39 @@ def _cases(*_: object) -> Iterator[Record]:
 
 def _fields(records: Sequence[Record]) -> Fields:
     """Return a row for each element and code, with the quotients of the codes and the kernels."""
-    rows: list[dict[str, Any]] = []
-    gains: list[dict[str, float]] = []
-    for (element,), same in groups(records, "element"):
-        by_code: dict[str, Any] = {record["code"]: record for record in same}
+    rows: list[Record] = []
+    gains: dict[str, list[float]] = {name: [] for name in ("compile", *FORMS)}
+    for (element,), of_element in groups(records, "element"):
+        by_code = {record["code"]: record for record in of_element}
         if set(by_code) != set(CODES):
             continue
         for code in CODES:
             record = by_code[code]
-            row: dict[str, Any] = {"element": element, "code": code, "dofs": record["dofs"]}
-            row["sources"] = [record]
+            row = {"element": element, "code": code, "dofs": record["dofs"], "sources": [record]}
             row["compile_s"] = record["seconds_compile"]
-            for name in ("tangent", "residual", "energy", "blocks"):
-                row[f"{name}_ms"] = 1e3 * record[f"seconds_{name}"]
+            row |= {f"{name}_ms": 1e3 * record[f"seconds_{name}"] for name in FORMS}
             rows.append(row)
-        fastest = {
-            name: min(by_code[code][f"seconds_{name}"] for code in ("FFCx", "FFCx -O3"))
-            for name in ("compile", "tangent", "residual", "energy", "blocks")
-        }
-        kernels = by_code["kernels"]
-        gains.append({name: s / kernels[f"seconds_{name}"] for name, s in fastest.items()})
-    ranges: dict[str, Any] = {}
-    for name in ("compile", "tangent", "residual", "energy", "blocks"):
-        quotients: Array = np.array([gain[name] for gain in gains] or [np.nan])
-        ranges[f"{name}_least"] = float(quotients.min())
-        ranges[f"{name}_greatest"] = float(quotients.max())
+        for name, of_name in gains.items():
+            key = f"seconds_{name}"
+            fastest = min(by_code[code][key] for code in ("FFCx", "FFCx -O3"))
+            of_name.append(fastest / by_code["kernels"][key])
+    ranges: dict[str, float] = {}
+    for name, of_name in gains.items():
+        ranges[f"{name}_least"] = min(of_name, default=math.nan)
+        ranges[f"{name}_greatest"] = max(of_name, default=math.nan)
     return {"rows": rows, **ranges}
+
+
+def _is_known(record: Record) -> bool:
+    """Return True if a record is one of this study."""
+    return record.get("code") in CODES and record.get("element") in ELEMENTS
 
 
 STUDY = Study(
     file=__file__,
     about=__doc__,
     page="cell_kernels",
-    known=lambda record: record.get("code") in CODES,
+    known=_is_known,
     options=_options,
     cases=_cases,
     run=_run,

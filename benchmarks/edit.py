@@ -44,46 +44,53 @@ from dolfinx_feti.meshes.arguments import count
 Expr = ufl.core.expr.Expr
 Solve = Callable[[], object]
 
+#: Relative tolerance of Newton's method, in both packages.
 RTOL = 1e-8
 
-#: By what the problem is given: its name in the picture, and its colour.
+#: Forms that a problem is given, by their key in a record: name and colour in the picture.
 ROUTES = {
     "dolfinx": ("dolfinx and MUMPS", COLOURS[0]),
     "residual": ("residual given", COLOURS[1]),
     "energy": ("energy given", COLOURS[2]),
 }
 
-#: Two directions of fibres, their stiffness, and that of heart muscle.
+#: Two directions of fibres.
 FIBRES = [ufl.as_vector([0.88, sign * 0.475, 0.0]) for sign in (1.0, -1.0)]
+#: Parameters of the fibres of arteries [kPa, -].
 STIFFNESS = {"k1": 2.36, "k2": 0.84}
+#: Parameters of heart muscle by Holzapfel and Ogden [kPa or -].
 HEART = {"b": 7.2, "a_f": 15.2, "b_f": 20.4, "a_s": 3.3, "b_s": 11.2, "a_fs": 0.6, "b_fs": 9.5}
 
 
 def hgo(C: Expr, J: Expr, c: float) -> Expr:
-    """Holzapfel, Gasser, Ogden."""
+    """Return the energy of Holzapfel, Gasser, Ogden [kPa]."""
     return materials.holzapfel_gasser_ogden(C, *FIBRES, c=c, **STIFFNESS, J=J)
 
 
 def dispersed(C: Expr, J: Expr, c: float) -> Expr:
-    """Gasser, Ogden, Holzapfel: fibres with a dispersed direction."""
+    """Return the energy of Gasser, Ogden, Holzapfel, with dispersed fibres [kPa]."""
     return materials.gasser_ogden_holzapfel(C, *FIBRES, c=c, **STIFFNESS, dispersion=0.226, J=J)
 
 
 def active(C: Expr, J: Expr, c: float) -> Expr:
-    """Holzapfel and Ogden's heart muscle with an active stress along its fibres."""
+    """Return the energy of heart muscle with an active stress along its fibres [kPa]."""
     psi = materials.holzapfel_ogden(C, *FIBRES, a=c, **HEART, J=J)
     return psi + materials.active_tension(C, FIBRES[0], tension=0.1)
 
 
 def viscous(C: Expr, J: Expr, c: float) -> Expr:
-    """Holzapfel, Gasser, Ogden with three viscoelastic branches, each with an earlier stress."""
+    """Return the energy of Holzapfel, Gasser, Ogden with three viscoelastic branches [kPa].
+
+    Each branch has the stress of the last time step as a coefficient.
+    """
     (u,) = ufl.algorithms.extract_coefficients(C)
     psi = hgo(C, J, c)
     space = dolfinx.fem.functionspace(u.function_space.mesh, ("DG", 0, C.ufl_shape))
-    past = [dolfinx.fem.Function(space) for _ in range(3)]
-    return psi + sum(0.1 * i * psi + ufl.inner(Q, C) / 2 for i, Q in enumerate(past, 1))
+    last_stresses = [dolfinx.fem.Function(space) for _ in range(3)]
+    return psi + sum(0.1 * i * psi + ufl.inner(Q, C) / 2 for i, Q in enumerate(last_stresses, 1))
 
 
+#: Functions Ψ(C, J, c) by the name of the material on the page.
 MATERIALS = {
     "HGO": hgo,
     "HGO, dispersed": dispersed,
@@ -94,7 +101,13 @@ MATERIALS = {
 
 
 def density(material: str, u: Expr, fields: Sequence[Expr]) -> Expr:
-    """Return an edited energy of u and, with three fields, of p and θ."""
+    """Return an edited energy [kPa], with a random digit in c.
+
+    Args:
+        material: A key of :data:`MATERIALS`.
+        u: Displacement.
+        fields: p and θ of the three-field energy; none otherwise.
+    """
     F = kinematics.deformation_gradient(u)
     C = kinematics.right_cauchy_green(F)
     J = kinematics.jacobian(F)
@@ -113,13 +126,13 @@ def problem_of(material: str, given: str, mesh: dolfinx.mesh.Mesh) -> Callable[[
         given: A key of :data:`ROUTES`.
         mesh: The block.
     """
-    three = material == "three fields"
+    has_three_fields = material == "three fields"
     P2 = basix.ufl.element("Lagrange", mesh.basix_cell(), 2, shape=(3,))
     P0 = basix.ufl.element("DG", mesh.basix_cell(), 0)
-    mixed = three and given == "dolfinx"
-    W = dolfinx.fem.functionspace(mesh, basix.ufl.mixed_element([P2, P0, P0]) if mixed else P2)
+    is_mixed = has_three_fields and given == "dolfinx"
+    W = dolfinx.fem.functionspace(mesh, basix.ufl.mixed_element([P2, P0, P0]) if is_mixed else P2)
     side = dolfinx.mesh.locate_entities_boundary(mesh, 2, lambda x: np.isclose(x[0], 0.0))
-    if mixed:
+    if is_mixed:
         V = W.sub(0).collapse()[0]
         dofs = dolfinx.fem.locate_dofs_topological((W.sub(0), V), 2, side)
         bc = dolfinx.fem.dirichletbc(dolfinx.fem.Function(V), dofs, W.sub(0))
@@ -127,20 +140,20 @@ def problem_of(material: str, given: str, mesh: dolfinx.mesh.Mesh) -> Callable[[
         bc = create_zero_bc(W, None, side)
     w = dolfinx.fem.Function(W)
     Q = dolfinx.fem.functionspace(mesh, P0)
-    condensed = 2 if three and not mixed else 0  # p and θ
-    fields = [dolfinx.fem.Function(Q) for _ in range(condensed)]
+    number_of_condensed = 2 if has_three_fields and not is_mixed else 0  # p and θ
+    fields = [dolfinx.fem.Function(Q) for _ in range(number_of_condensed)]
     load = dolfinx.fem.Constant(mesh, (0.005, 0.02, 0.0))
 
-    def rest() -> None:
+    def set_to_rest() -> None:
         for f in (w, *fields):
             f.x.array[:] = 0.0
-        if three:
-            theta = w.sub(2) if mixed else fields[1]
+        if has_three_fields:
+            theta = w.sub(2) if is_mixed else fields[1]
             theta.interpolate(lambda x: np.ones(x.shape[1]))
 
-    def prepared() -> Solve:
-        rest()
-        u, *others = ufl.split(w) if mixed else (w, *fields)
+    def edit_and_compile() -> Solve:
+        set_to_rest()
+        u, *others = ufl.split(w) if is_mixed else (w, *fields)
         energy = (density(material, u, others) - ufl.inner(load, u)) * ufl.dx(degree=4)
         forms = [
             ufl.derivative(energy, f, ufl.TestFunction(f.function_space)) for f in (w, *fields)
@@ -150,7 +163,7 @@ def problem_of(material: str, given: str, mesh: dolfinx.mesh.Mesh) -> Callable[[
         else:
             if given == "energy":
                 F = energy
-            elif three:
+            elif has_three_fields:
                 F = forms
             else:
                 F = forms[0]
@@ -158,12 +171,12 @@ def problem_of(material: str, given: str, mesh: dolfinx.mesh.Mesh) -> Callable[[
             solve = NonlinearProblem(F, w, bcs=[bc], **settings).solve
 
         def solve_from_rest() -> object:
-            rest()
+            set_to_rest()
             return solve()
 
         return solve_from_rest
 
-    return prepared
+    return edit_and_compile
 
 
 def seconds() -> float:
@@ -174,12 +187,13 @@ def seconds() -> float:
 def _run(case: Record, keep: Keep, args: Arguments, _: MPI.Comm) -> None:
     """Solve twice for each edit, after one more edit that compiles the code of all energies."""
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 5, 4, 8)
-    prepare = problem_of(case["material"], case["given"], mesh)
+    edit_and_compile = problem_of(case["material"], case["given"], mesh)
     if case["given"] != "dolfinx":
-        prepare()()
+        solve = edit_and_compile()
+        solve()
     for edit in range(1, args.edits + 1):
         start = seconds()
-        solve = prepare()
+        solve = edit_and_compile()
         solve()
         first = seconds() - start
         solve()
@@ -199,11 +213,12 @@ def _cases(args: Arguments, *_: object) -> Iterator[Record]:
 def _rows(records: Sequence[Record]) -> list[dict[str, Any]]:
     """Return a row for each material: the least seconds of all edits, and their quotients."""
     rows = []
-    for (material,), mine in groups(records, "material"):
-        row: dict[str, Any] = {"material": material, "sources": mine}
-        for (given,), same in groups(mine, "given"):
+    for (material,), of_material in groups(records, "material"):
+        row: dict[str, Any] = {"material": material, "sources": of_material}
+        for (given,), of_route in groups(of_material, "given"):
             for name in ("first", "again"):
-                row[f"{given}_{name}"] = least = min(r[name] for r in same)
+                least = min(record[name] for record in of_route)
+                row[f"{given}_{name}"] = least
                 row[f"{given}_{name}_ratio"] = least / row.get(f"dolfinx_{name}", math.nan)
         rows.append(row)
     return rows
@@ -212,26 +227,25 @@ def _rows(records: Sequence[Record]) -> list[dict[str, Any]]:
 def _fields(records: Sequence[Record]) -> Fields:
     """Return the rows, and the least and greatest quotients of all materials."""
     rows = _rows(records)
-    found: dict[str, Any] = {"rows": rows, "edits": max(r["edit"] for r in records)}
+    fields: dict[str, Any] = {"rows": rows, "edits": max(record["edit"] for record in records)}
     for name in ("first", "again"):
         keys = [f"{given}_{name}_ratio" for given in ("residual", "energy")]
         ratios = [row[key] for row in rows for key in keys if key in row] or [math.nan]
-        found |= {f"{name}_least": min(ratios), f"{name}_most": max(ratios)}
-    return found
+        fields |= {f"{name}_least": min(ratios), f"{name}_most": max(ratios)}
+    return fields
 
 
 def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
     """Draw the seconds of each material."""
     rows = _rows(records)
-    legend = {n: {"color": c, "lw": 6} for n, c in ROUTES.values()}
+    legend = {name: {"color": colour, "lw": 6} for name, colour in ROUTES.values()}
     with picture(folder / "edit.png", 1, 2, legend) as axes:
         titles = {"first": "an edited energy", "again": "once more"}
         for ax, (name, title) in zip(axes[0], titles.items(), strict=True):
             for i, (given, (_, colour)) in enumerate(ROUTES.items()):
-                at = np.arange(len(rows)) + 0.27 * (i - 1)
-                ax.barh(
-                    at, [row.get(f"{given}_{name}", math.nan) for row in rows], 0.25, color=colour
-                )
+                places = np.arange(len(rows)) + 0.27 * (i - 1)
+                seconds_of_rows = [row.get(f"{given}_{name}", math.nan) for row in rows]
+                ax.barh(places, seconds_of_rows, 0.25, color=colour)
             names = [row["material"] for row in rows]
             ax.set(yticks=range(len(rows)), yticklabels=names, xlabel="CPU seconds", title=title)
             ax.invert_yaxis()
@@ -239,7 +253,8 @@ def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
 
 
 def _is_known(record: Record) -> bool:
-    return record.get("given") in ROUTES
+    """Return True if a record is one of this study."""
+    return record.get("given") in ROUTES and record.get("material") in MATERIALS
 
 
 STUDY = Study(

@@ -24,7 +24,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from mpi4py import MPI
 from petsc4py import PETSc
@@ -35,6 +35,7 @@ import dolfinx
 import dolfinx.fem.petsc
 import ufl
 
+from benchmarks.common import command
 from benchmarks.common.pages import Fields, groups
 from benchmarks.common.records import Record
 from benchmarks.common.study import Arguments, Keep, Study
@@ -57,7 +58,10 @@ from dolfinx_feti.torn.connectivity import block_graph
 
 T = TypeVar("T")
 
+#: Compared factorisations.
 METHODS = ("multifrontal", "mumps")
+
+#: What is done with the interior dofs.
 TASKS = ("eliminate", "keep")
 
 #: Cells on an edge: 1029, 3000 and 10 125 dofs.
@@ -71,7 +75,7 @@ RIGHT_HAND_SIDES = {"eliminate": 256, "keep": 32}
 
 
 @dataclass(frozen=True, slots=True)
-class Cube:
+class CubeSubdomain:
     """The matrix of the subdomain, and its interface.
 
     Attributes:
@@ -85,7 +89,7 @@ class Cube:
     interior: Indices
 
 
-def create_cube(cells: int) -> Cube:
+def create_subdomain(cells: int) -> CubeSubdomain:
     """Assemble the matrix of a unit cube with the given number of cells on an edge."""
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, cells, cells, cells)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
@@ -99,7 +103,7 @@ def create_cube(cells: int) -> Cube:
     x = V.tabulate_dof_coordinates()
     on_surface = np.any(np.isclose(x, 0.0) | np.isclose(x, 1.0), axis=1)
     is_interface = np.repeat(on_surface, 3)
-    return Cube(
+    return CubeSubdomain(
         K,
         np.flatnonzero(is_interface).astype(np.int32),
         np.flatnonzero(~is_interface).astype(np.int32),
@@ -107,7 +111,7 @@ def create_cube(cells: int) -> Cube:
 
 
 def timed(work: Callable[[], T], rounds: int) -> tuple[T, float]:
-    """Return a result and the shortest time of several rounds [s]."""
+    """Return the result of some work, and its shortest time in a number of rounds [s]."""
     seconds = np.inf
     for _ in range(rounds):
         start = time.perf_counter()
@@ -116,7 +120,7 @@ def timed(work: Callable[[], T], rounds: int) -> tuple[T, float]:
     return result, seconds
 
 
-def schur_by_solves(cube: Cube, factor: Factor) -> Array:
+def schur_by_solves(cube: CubeSubdomain, factor: Factor) -> Array:
     """Return S, packed, by solves with a factor of K_II."""
     coupling = sparse_block(cube.K, cube.interior, cube.interface)
     X = factor.solve(coupling.toarray(order="F"))  # K_II⁻¹ K_IΓ
@@ -124,17 +128,19 @@ def schur_by_solves(cube: Cube, factor: Factor) -> Array:
     return pack(K_ΓΓ - coupling.T @ X)
 
 
-def find_fronts(cube: Cube, task: str) -> Fronts:
+def find_fronts(cube: CubeSubdomain, task: str) -> Fronts:
     """Create the fronts of the interior for ``eliminate``, those of all dofs for ``keep``."""
     n = cube.K.getSize()[0]
-    everything = np.arange(n, dtype=np.int32)
-    interface = cube.interface if task == "eliminate" else everything[:0]
+    all_dofs = np.arange(n, dtype=np.int32)
+    interface = cube.interface if task == "eliminate" else all_dofs[:0]
     with csr_of(cube.K) as rows:
         graph = block_graph(rows, 3)
-    return create_fronts(load_fronts(MPI.COMM_SELF), graph, everything, everything, 3, interface)
+    return create_fronts(load_fronts(MPI.COMM_SELF), graph, all_dofs, all_dofs, 3, interface)
 
 
-def measure_multifrontal(cube: Cube, task: str, rounds: int) -> tuple[Factor, Array, Record]:
+def measure_multifrontal(
+    cube: CubeSubdomain, task: str, rounds: int
+) -> tuple[Factor, Array, Record]:
     """Factor by fronts.
 
     Args:
@@ -159,7 +165,7 @@ def measure_multifrontal(cube: Cube, task: str, rounds: int) -> tuple[Factor, Ar
     return eliminated.factor, eliminated.schur, times
 
 
-def measure_mumps(cube: Cube, task: str, rounds: int) -> tuple[Factor, Array, Record]:
+def measure_mumps(cube: CubeSubdomain, task: str, rounds: int) -> tuple[Factor, Array, Record]:
     """Factor by MUMPS; arguments and results are those of measure_multifrontal."""
     rows = cube.interior if task == "eliminate" else np.arange(cube.K.getSize()[0], dtype=np.int32)
     options = FactorOptions(DirectOptions("factors_"), True, RIGHT_HAND_SIDES[task])
@@ -175,7 +181,7 @@ def measure_mumps(cube: Cube, task: str, rounds: int) -> tuple[Factor, Array, Re
 def _run(case: Record, keep: Keep, args: Arguments, _: MPI.Comm) -> None:
     """Factor and solve, and compare the solution with its right-hand side."""
     task = case["task"]
-    cube = create_cube(case["cells"])
+    cube = create_subdomain(case["cells"])
     measure = measure_mumps if case["method"] == "mumps" else measure_multifrontal
     factor, S, times = measure(cube, task, args.rounds)
     n = len(cube.interior) if task == "eliminate" else cube.K.getSize()[0]
@@ -198,50 +204,63 @@ def _run(case: Record, keep: Keep, args: Arguments, _: MPI.Comm) -> None:
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--cells", type=count, action="append", help="6, 9 and 14")
+    parser.add_argument(
+        "--cells", type=command.several(count), default=list(SIZES), help="on an edge; 6,9,14"
+    )
     parser.add_argument("--rounds", type=count, default=5, help="5, of which the shortest counts")
 
 
 def _cases(args: Arguments, *_: object) -> Iterator[Record]:
-    for cells, task, method in itertools.product(args.cells or SIZES, TASKS, METHODS):
+    for cells, task, method in itertools.product(args.cells, TASKS, METHODS):
         yield {"cells": cells, "task": task, "method": method}
 
 
 def _fields(records: Sequence[Record]) -> Fields:
     """Return a row for each size and task, with the quotients of MUMPS and the fronts."""
     rows = []
-    for (cells, task), same in groups(records, "cells", "task"):
-        by_method: dict[str, Any] = {r["method"]: r for r in same}
+    for (cells, task), of_row in groups(records, "cells", "task"):
+        by_method = {record["method"]: record for record in of_row}
         if set(by_method) != set(METHODS):
             continue
-        own = by_method["multifrontal"]
+        fronts = by_method["multifrontal"]
         mumps = by_method["mumps"]
-        row: dict[str, Any] = {"cells": cells, "task": task, "dofs": own["dofs"]}
-        row["analysis_ms"] = 1e3 * own["seconds_analysis"]
+        row: Record = {
+            "cells": cells,
+            "task": task,
+            "dofs": fronts["dofs"],
+            "analysis_ms": 1e3 * fronts["seconds_analysis"],
+            "mib": fronts["mib"],
+            "mib_mumps": mumps["mib"],
+            "sources": of_row,
+        }
         for name in ("factor", "solve"):
-            row[f"{name}_ms"] = 1e3 * own[f"seconds_{name}"]
-            row[f"{name}_mumps_ms"] = 1e3 * mumps[f"seconds_{name}"]
-            row[f"{name}_gain"] = mumps[f"seconds_{name}"] / own[f"seconds_{name}"]
-        row["sources"] = same
-        row["mib"] = own["mib"]
-        row["mib_mumps"] = mumps["mib"]
+            seconds_fronts = fronts[f"seconds_{name}"]
+            seconds_mumps = mumps[f"seconds_{name}"]
+            row[f"{name}_ms"] = 1e3 * seconds_fronts
+            row[f"{name}_mumps_ms"] = 1e3 * seconds_mumps
+            row[f"{name}_gain"] = seconds_mumps / seconds_fronts
         rows.append(row)
-    gains = [row["factor_gain"] for row in rows] or [math.nan]
-    solves = [row["solve_gain"] for row in rows] or [math.nan]
+    factor_gains = [row["factor_gain"] for row in rows] or [math.nan]
+    solve_gains = [row["solve_gain"] for row in rows] or [math.nan]
     return {
         "rows": rows,
-        "least": min(gains),
-        "greatest": max(gains),
-        "least_solve": min(solves),
-        "greatest_solve": max(solves),
+        "least": min(factor_gains),
+        "greatest": max(factor_gains),
+        "least_solve": min(solve_gains),
+        "greatest_solve": max(solve_gains),
     }
+
+
+def _is_known(record: Record) -> bool:
+    """Return True if a record is one of this study."""
+    return record.get("method") in METHODS and record.get("task") in TASKS
 
 
 STUDY = Study(
     file=__file__,
     about=__doc__,
     page="factors",
-    known=lambda record: record.get("method") in METHODS,
+    known=_is_known,
     options=_options,
     cases=_cases,
     run=_run,

@@ -62,19 +62,19 @@ SHARED_CORES = {
 #: Beginnings of the variables of a process that MPI has started; another mpirun must not see them.
 INHERITED = ("PMI_", "PMIX_", "PRTE_", "OMPI_COMM_WORLD_", "OMPI_FILE_", "OMPI_UNIVERSE_")
 
-#: Records of the page.
-KEPT = Path(__file__).parents[2] / "docs/results/scaling.json"
+#: Records of the page, which ``--predict`` reads without ``--json``.
+RECORDS = Path(__file__).parents[2] / "docs/results/scaling.json"
 
-#: Preconditioners of the two choices.
+#: Preconditioner of each choice.
 PC = {"paper": "lumped", "default": "dirichlet"}
 
 #: Keys of a series: cases that differ only in their number of processes.
-CASE = ("geometry", "size", "subdomains", "layers", "choices")
+SERIES = ("geometry", "size", "subdomains", "layers", "choices")
 
-#: Processes of weak scaling, as many dofs on each.
+#: Numbers of processes in weak scaling, with the same number of dofs on each.
 WEAK = (512, 10_000)
 
-#: Parts that the page shows.
+#: Parts of the time that the page shows.
 SHOWN = ("local", "krylov", "total")
 
 #: Factors from the units of the model's cluster to those of the page: µs, GB/s and Gflop/s.
@@ -82,23 +82,25 @@ UNITS = {"latency": 1e6, "node": 1, "bus": 1}
 UNITS |= dict.fromkeys(("bandwidth", "stream", "rate", "disk"), 1e-9)
 CLUSTER = {name: unit * getattr(model, name.upper()) for name, unit in UNITS.items()}
 
+#: Curve of each part.
 STYLES = {"local": {"color": COLOURS[2]}, "krylov": {"color": COLOURS[0]}, "total": {"color": "k"}}
 
 #: Number of processes that the model predicts, beyond the paper's.
 FURTHER = 10_000
 
 #: Columns of a prediction.
-FORESEEN = ("reading", "local", "coarse", "krylov", "rest", "fixed", "total")
+PREDICTED = ("reading", "local", "coarse", "krylov", "rest", "fixed", "total")
 
 
 def _options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     numbers = command.several(count)
-    some = [1, 2, 4, 8, 16, 32, 64]
     command.add_mesh(parser)
     command.add_choices(parser, "--task", ("count", "measure"))
     add("--processes", type=numbers, default=[1, 2], help="to measure, 1,2")
-    add("--count", type=numbers, default=some, help="to count, 1,2,4,8,16,32,64")
+    add(
+        "--count", type=numbers, default=[1, 2, 4, 8, 16, 32, 64], help="to count, 1,2,4,8,16,32,64"
+    )
     add("--predict", type=count, nargs=2, metavar=("DOFS", "PROCESSES"), help="print the model's")
     add("--subdomains", type=count, default=512, help="over all processes, 512")
     command.add_choices(parser, "--layers", tuple(TYPES))
@@ -111,9 +113,9 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     With ``--predict`` it prints the prediction, and yields none.
     """
     if args.predict:
-        (kept,) = args.json or [KEPT]
-        known = read_records(kept, STUDY.known, STUDY.page)
-        command.say("\n".join(predict(known, *args.predict)), comm)
+        (path,) = args.json or [RECORDS]
+        records = read_records(path, STUDY.known, STUDY.page)
+        command.say("\n".join(predict(records, *args.predict)), comm)
         return
     _check(args)
     shared = {name: getattr(args, name) for name in ("geometry", "size", "subdomains")}
@@ -126,33 +128,39 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
 
 
 def _processes(args: Arguments, task: str) -> Sequence[int]:
+    """Return the numbers of processes of a task."""
     return args.count if task == "count" else args.processes
 
 
 def _run(case: Record, keep: Keep, args: Arguments, _comm: MPI.Comm) -> None:
-    """Run a case as a program of its own, and keep its record.
+    """Run a case as a separate program, and keep its record.
 
     Raises:
         ConvergenceError: The program failed; the message has the end of its output.
     """
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "record.json"
-        inside = json.dumps(case | {"folder": str(args.folder)})
+        workers_case = json.dumps(case | {"folder": str(args.folder)})
         words = ["mpirun", "-n", str(case["processes"]), "env", "OMP_NUM_THREADS=1"]
         environment = {k: v for k, v in os.environ.items() if not k.startswith(INHERITED)}
         if case["task"] == "count":
             words += [f"LD_PRELOAD={compile_library(args.folder)}"]
             environment |= SHARED_CORES
-        words += [sys.executable, "-m", "benchmarks.common.scaling.worker", inside, str(file)]
-        ended = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
-        if ended.returncode != 0 or not file.is_file():
-            last = (ended.stderr or ended.stdout).strip()[-2000:]
-            raise ConvergenceError(f"exit status {ended.returncode}:\n{last}")
+        words += [sys.executable, "-m", "benchmarks.common.scaling.worker"]
+        words += [workers_case, str(file)]
+        run = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
+        if run.returncode != 0 or not file.is_file():
+            end_of_output = (run.stderr or run.stdout).strip()[-2000:]
+            raise ConvergenceError(f"exit status {run.returncode}:\n{end_of_output}")
         keep({}, json.loads(file.read_text()))
 
 
 def _check(args: Arguments) -> None:
-    """Raise a ValueError if the cases cannot be run here."""
+    """Check that the cases can be run here.
+
+    Raises:
+        ValueError: They cannot.
+    """
     cores = len(os.sched_getaffinity(0))
     if MPI.COMM_WORLD.size > 1:
         raise ValueError("it starts mpirun itself: run it as python3 -m benchmarks.scaling")
@@ -161,29 +169,37 @@ def _check(args: Arguments) -> None:
             f"--processes {max(args.processes)}: there are {cores} cores, and shared ones measure "
             "nothing; --count takes any number"
         )
-    most = max(P for task in args.task for P in _processes(args, task))
-    if most > args.subdomains:
+    largest = max(P for task in args.task for P in _processes(args, task))
+    if largest > args.subdomains:
         raise ValueError(
-            f"{most} processes need as many --subdomains, and there are {args.subdomains}"
+            f"{largest} processes need as many --subdomains, and there are {args.subdomains}"
         )
     if shutil.which("mpirun") is None:
         raise ValueError("mpirun is missing")
 
 
 def predict(records: Sequence[Record], dofs: int, processes: int) -> Iterator[str]:
-    """Yield the lines of a table: seconds of a load step, for each series that was measured."""
+    """Yield the lines of a table: predicted seconds of a load step, for each measured series.
+
+    Args:
+        records: Records of the study.
+        dofs: Dofs of the predicted mesh.
+        processes: Number of processes.
+    """
     first = min(paper.FIRST, processes)
     yield f"A load step of {dofs} dofs on {processes} processes, modelled [s]:"
-    yield " ".join(f"{name:>8}" for name in (*FORESEEN, "eff")) + f"  (eff: against {first})"
+    yield " ".join(f"{name:>8}" for name in (*PREDICTED, "eff")) + f"  (eff: against {first})"
     for series in filter(lambda s: s.model, _series(records)):
         base = series.model.base
         names = series.names
-        there, here = (series.model.predict(P, dofs / base["dofs"]) for P in (first, processes))
-        numbers = [here[part] for part in FORESEEN]
-        numbers.append(efficiency(first, there["total"], processes, here["total"]))
-        its = sum(base["linear_iterations_per_newton"])
+        refined = dofs / base["dofs"]
+        on_first = series.model.predict(first, refined)
+        predicted = series.model.predict(processes, refined)
+        numbers = [predicted[part] for part in PREDICTED]
+        numbers.append(efficiency(first, on_first["total"], processes, predicted["total"]))
+        iterations = sum(base["linear_iterations_per_newton"])
         steps = base["newton_iterations"]
-        case = f"{names['kind']}, {names['chosen']}: {steps} Newton steps, {its} iterations"
+        case = f"{names['kind']}, {names['chosen']}: {steps} Newton steps, {iterations} iterations"
         yield " ".join(f"{number:8.3g}" for number in numbers) + f"  {case}"
 
 
@@ -220,92 +236,121 @@ class _Series:
 
 
 def _fields(records: Sequence[Record]) -> Fields:
-    every = list(_series(records))
-    modelled = [s for s in every if s.model is not None]
+    """Return the sections of the page."""
+    all_series = list(_series(records))
+    modelled = [s for s in all_series if s.model is not None]
     counted = {r["processes"]: r for s in modelled for r in s.counted}
     return {
         "cluster": CLUSTER,
-        "measured": [part for s in every for part in s.section(_times(s))],
+        "measured": [part for s in all_series for part in s.section(_measured_rows(s))],
         "modelled": [part for s in modelled for part in s.section(_model_rows(s), dofs=s.dofs)],
-        "limits": section(row for s in modelled for row in _limits(s)),
-        "weak": section(_weak(s) for s in modelled),
-        "once": section(r | s.names | {"s": r["seconds_once"]} for s in every for r in s.measured),
+        "limits": section(row for s in modelled for row in _limit_rows(s)),
+        "weak": section(_weak_row(s) for s in modelled),
+        "once": section(
+            record | s.names | {"s": record["seconds_once"]}
+            for s in all_series
+            for record in s.measured
+        ),
         "reading": section(
             {"P": P, "mb": r["reading_bytes"] / 1e6, "mib": r["reading_mib"], "sent": r["reading"]}
             for P, r in sorted(counted.items())
         ),
-        "counted": section(row for s in every for row in _counts(s)),
+        "counted": section(row for s in all_series for row in _counted_rows(s)),
         "first_processes": paper.FIRST,
     }
 
 
 def _series(records: Sequence[Record]) -> Iterator[_Series]:
     """Yield the series, the paper's choices first."""
-    found = sorted(groups(records, *CASE), key=lambda s: (list(CHOICES).index(s[0][-1]), s[0][-2]))
-    for (*_, layers, choices), mine in found:
-        mine.sort(key=lambda record: record["processes"])
-        tasks = [[r for r in mine if r["task"] == task] for task in ("measure", "count")]
-        yield _Series(layers, choices, *tasks, create_model(*tasks))
+    order = list(CHOICES)
+    by_keys = sorted(
+        groups(records, *SERIES), key=lambda item: (order.index(item[0][-1]), item[0][-2])
+    )
+    for (*_, layers, choices), of_series in by_keys:
+        of_series.sort(key=lambda record: record["processes"])
+        measured = [record for record in of_series if record["task"] == "measure"]
+        counted = [record for record in of_series if record["task"] == "count"]
+        yield _Series(layers, choices, measured, counted, create_model(measured, counted))
 
 
-def _counts(series: _Series) -> Iterator[Record]:
+def _counted_rows(series: _Series) -> Iterator[Record]:
     """Yield the counted cases, with the growth of messages to each from the first case."""
     first = next((r["messages_to_each"] for r in series.counted if r["messages_to_each"]), None)
-    for r in series.counted:
-        to_each = r["messages_to_each"]
-        grown = to_each / first if to_each and first else None
-        kilobytes = r["setup"]["bytes"]["max"] / 1e3
-        yield r | series.names | {"kilobytes": kilobytes, "grown": grown}
+    for record in series.counted:
+        to_each = record["messages_to_each"]
+        yield (
+            record
+            | series.names
+            | {
+                "kilobytes": record["setup"]["bytes"]["max"] / 1e3,
+                "grown": to_each / first if to_each and first else None,
+            }
+        )
 
 
-def _times(series: _Series) -> Iterator[dict[str, object]]:
+def _measured_rows(series: _Series) -> Iterator[dict[str, object]]:
     """Yield seconds and efficiencies of the measured cases, and the seconds of the model."""
-    every = [{part: r[f"seconds_{part}"] for part in SHOWN} for r in series.measured]
-    for r, s in zip(series.measured, every, strict=True):
-        P = r["processes"]
-        first = series.measured[0]["processes"]
-        foreseen = series.model.predict(P) if series.model else {}
-        yield {"P": P, "s": s, "eff": _efficiencies(first, every[0], P, s), "model": foreseen}
+    times = [{part: record[f"seconds_{part}"] for part in SHOWN} for record in series.measured]
+    first = series.measured[0]["processes"] if series.measured else 0
+    for record, seconds in zip(series.measured, times, strict=True):
+        P = record["processes"]
+        yield {
+            "P": P,
+            "s": seconds,
+            "eff": _efficiencies(first, times[0], P, seconds),
+            "model": series.model.predict(P) if series.model else {},
+        }
 
 
 def _model_rows(series: _Series) -> Iterator[dict[str, object]]:
     """Yield the model's seconds and efficiencies on the paper's mesh, and the paper's."""
-    begin = paper.FIRST
-    theirs = paper.TIMES[series.layers]
-    refined = series.refined
-    first = series.model.predict(begin, refined)
-    for P in (*theirs, FURTHER):
-        s = series.model.predict(P, refined)
-        printed = _efficiencies(begin, theirs[begin], P, theirs[P]) if P in theirs else {}
-        yield {"P": P, "s": s, "eff": _efficiencies(begin, first, P, s), "paper": printed}
+    first = paper.FIRST
+    papers = paper.TIMES[series.layers]
+    on_first = series.model.predict(first, series.refined)
+    for P in (*papers, FURTHER):
+        seconds = series.model.predict(P, series.refined)
+        printed = _efficiencies(first, papers[first], P, papers[P]) if P in papers else {}
+        yield {
+            "P": P,
+            "s": seconds,
+            "eff": _efficiencies(first, on_first, P, seconds),
+            "paper": printed,
+        }
 
 
 def _efficiencies(
-    begin: int, first: Mapping[str, float], P: int, times: Mapping[str, float]
+    first: int, on_first: Mapping[str, float], P: int, seconds: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return the efficiencies of the parts in SHOWN, relative to ``begin`` processes."""
-    return {part: efficiency(begin, first[part], P, times[part]) for part in SHOWN}
+    """Return the parallel efficiency of each part in SHOWN.
+
+    Args:
+        first: Number of processes that the efficiency refers to.
+        on_first: Seconds of each part on these.
+        P: Number of processes.
+        seconds: Seconds of each part on P processes.
+    """
+    return {part: efficiency(first, on_first[part], P, seconds[part]) for part in SHOWN}
 
 
-def _limits(series: _Series) -> Iterator[dict[str, object]]:
+def _limit_rows(series: _Series) -> Iterator[dict[str, object]]:
     """Yield the shares of the parts in the total time, and in that of the Krylov method [%]."""
     for P in (max(paper.TIMES[series.layers]), FURTHER):
-        foreseen = series.model.predict(P, series.refined)
+        predicted = series.model.predict(P, series.refined)
         for whole, parts in {"total": model.PARTS, "Krylov": model.KRYLOV}.items():
-            all_of_it = sum(foreseen[part] for part in parts)
-            percent = {part: 100 * foreseen[part] / all_of_it for part in parts}
+            sum_of_parts = sum(predicted[part] for part in parts)
+            percent = {part: 100 * predicted[part] / sum_of_parts for part in parts}
             yield series.names | {"P": P, "whole": whole, "share": percent}
 
 
-def _weak(series: _Series) -> dict[str, object]:
+def _weak_row(series: _Series) -> dict[str, object]:
     """Return seconds of Krylov method and coarse set-up on the two numbers of processes WEAK.
 
     The fewer processes have the dofs of the paper's mesh.
     """
     dofs = series.dofs
-    (few, many) = WEAK
-    foreseen = (series.model.predict(P, series.refined * P / few) for P in WEAK)
-    t = [p["krylov"] + p["coarse"] for p in foreseen]
+    few, many = WEAK
+    predicted = (series.model.predict(P, series.refined * P / few) for P in WEAK)
+    t = [seconds["krylov"] + seconds["coarse"] for seconds in predicted]
     sizes = {"few": few, "many": many, "dofs": dofs, "dofs_many": dofs * many // few}
     return series.names | sizes | {"t": t, "eff": t[0] / t[1]}
 
@@ -326,19 +371,20 @@ def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
             ax.set_yscale("log")
             ax.set_xscale("log", base=2)
             for part, style in STYLES.items():
-                theirs = paper.TIMES[layers].items()
-                curve(ax, [(P, times[part]) for P, times in theirs], **(style | OPEN))
+                printed = [(P, times[part]) for P, times in paper.TIMES[layers].items()]
+                curve(ax, printed, **(style | OPEN))
                 series = of_layers.get(layers)
                 measured = series.measured if series else []
                 points = [(r["processes"], r[f"seconds_{part}"]) for r in measured]
                 curve(ax, points, **style, marker="s", ls="")
                 if series and series.model:
-                    foreseen = [(P, series.model.predict(P)[part]) for P in processes]
-                    curve(ax, foreseen, **style)
+                    predicted = [(P, series.model.predict(P)[part]) for P in processes]
+                    curve(ax, predicted, **style)
     return [{"picture": "scaling.png"}]
 
 
 def _is_known(record: Record) -> bool:
+    """Return True if a record is one of this study."""
     return record.get("study") == "scaling"
 
 

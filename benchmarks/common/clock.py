@@ -17,7 +17,7 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.events import seconds_of
 
 #: Called after a solve with the KSP, the right-hand side and the solution.
-Then = Callable[[PETSc.KSP, PETSc.Vec, PETSc.Vec], object]
+AfterSolve = Callable[[PETSc.KSP, PETSc.Vec, PETSc.Vec], object]
 
 
 def event_clock(names: Sequence[str], comm: MPI.Comm) -> Callable[[], dict[str, float]]:
@@ -30,10 +30,10 @@ def event_clock(names: Sequence[str], comm: MPI.Comm) -> Callable[[], dict[str, 
         comm: Communicator; the seconds are those of its slowest process.
     """
     PETSc.Log.begin()
-    begun = np.array(seconds_of(names))
+    start = np.array(seconds_of(names))
 
     def seconds() -> dict[str, float]:
-        spent = np.array(seconds_of(names)) - begun
+        spent = np.array(seconds_of(names)) - start
         slowest = np.empty_like(spent)
         comm.Allreduce(spent, slowest, op=MPI.MAX)
         return dict(zip(names, slowest.tolist(), strict=True))
@@ -51,21 +51,26 @@ class Stopwatch:
     def __init__(self, comm: MPI.Comm) -> None:
         """Create a stopwatch without times."""
         self._comm = comm
-        self._times: list[Array] = []  # begun, ready, ended; clock, processor
-        self._begun = self._ready = np.zeros(2)
+        self._times: list[Array] = []  # of each solve (2, 2): set-up, solution; clock, processor
+        self._started = self._ready = np.zeros(2)
 
-    def hook(self, ksp: PETSc.KSP, then: Then | None = None) -> None:
-        """Hook into a solver; ``then`` is called after each solve, and its time does not count."""
+    def hook(self, ksp: PETSc.KSP, then: AfterSolve | None = None) -> None:
+        """Time the solves of a KSP from now on; its own hooks and monitor are replaced.
+
+        Args:
+            ksp: The solver.
+            then: Called after each solve; its time does not count.
+        """
 
         def before(_ksp: PETSc.KSP, _b: PETSc.Vec, _x: PETSc.Vec) -> None:
-            self._begun = self._ready = self._now()
+            self._started = self._ready = self._now()
 
         def monitor(_ksp: PETSc.KSP, iteration: int, _norm: float) -> None:
             if iteration == 0:
                 self._ready = self._now()
 
         def after(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:
-            self._times.append(np.diff([self._begun, self._ready, self._now()], axis=0))
+            self._times.append(np.diff([self._started, self._ready, self._now()], axis=0))
             if then is not None:
                 then(ksp, b, x)
 
@@ -74,19 +79,27 @@ class Stopwatch:
         ksp.setPostSolve(after)
 
     def each(self) -> Array:
-        """Return the slowest process's seconds of each solve, (solves, 2). Collective."""
+        """Return the seconds of set-up and solution of each solve, (solves, 2). Collective.
+
+        They are those of the slowest process.
+        """
         return self._over_all(0, MPI.MAX)
 
     def processor(self) -> Array:
-        """Return all processes' processor time of each solve, (solves, 2). Collective."""
+        """Return the processor time of set-up and solution of each solve, (solves, 2). Collective.
+
+        It is summed over the processes.
+        """
         return self._over_all(1, MPI.SUM)
 
     def _over_all(self, clock: int, op: MPI.Op) -> Array:
-        own = np.ascontiguousarray(np.array(self._times).reshape(-1, 2, 2)[:, :, clock])
-        found = np.empty_like(own)
-        self._comm.Allreduce(own, found, op=op)
-        return found
+        """Return a clock's times of all solves, (solves, 2), reduced over the processes."""
+        of_process = np.ascontiguousarray(np.array(self._times).reshape(-1, 2, 2)[:, :, clock])
+        reduced = np.empty_like(of_process)
+        self._comm.Allreduce(of_process, reduced, op=op)
+        return reduced
 
     def _now(self) -> Array:
+        """Return clock and processor time, (2,), once all processes are here."""
         self._comm.Barrier()
         return np.array([time.perf_counter(), time.process_time()])

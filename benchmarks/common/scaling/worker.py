@@ -43,24 +43,26 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import on_root
 from dolfinx_feti.wall import Wall, read_wall, write_wall
 
-#: Iterations of a first solve, which creates all buffers, and of the two whose difference is
-#: counted.
-WARM = 2
-FEW = 5
-MORE = 25
+#: Iterations of a first solve, which creates all buffers.
+WARM_UP_ITERATIONS = 2
+
+#: Iterations of the two solves whose difference is counted.
+FEW_ITERATIONS = 5
+MANY_ITERATIONS = 25
 
 #: Load [mmHg]. The paper's load of 1 mmHg would make a thin wall buckle.
 PRESSURE = 0.2
 
 #: Most Newton steps, as in the paper. With the paper's tangent, which leaves out that of the
 #: pressure, CG solves their systems, but on a thin wall Newton's method has not converged by then.
-STEPS = 5
+NEWTON_STEPS = 5
 
 #: Log events of the phases.
 FACTOR, COARSE, KRYLOV = EVENTS = ("FETIFactor", "FETICoarse", "FETISolve")
 
-#: Log events of reading the wall, and all that occur once, before the first load step.
+#: Log events of reading the wall.
 READING = ("WallRead", "WallPartition", "WallTags")
+#: Log events before the first load step.
 ONCE = (*READING, "WallFibres", "FETITear", "FETIPattern", "FETIGluing", "FETICoarseSolve")
 
 
@@ -72,8 +74,8 @@ def measure(case: Record, comm: MPI.Comm) -> Record:
     """
     PETSc.Log.begin()
     tiny = case | {"geometry": "tube", "size": 1.0, "subdomains": comm.size}
-    tube = _written(tiny, comm)
-    file = _written(case, comm)
+    tube = _wall_file(tiny, comm)
+    file = _wall_file(case, comm)
     for _ in range(2):  # the second time for what does not depend on the mesh
         comm.Barrier()
         started = time.perf_counter()
@@ -87,13 +89,13 @@ def measure(case: Record, comm: MPI.Comm) -> Record:
     comm.Barrier()
     ended = time.perf_counter()
     spent = phases()
-    own = sum(step.seconds_assembly for step in body.problem.history)
-    assembly = comm.allreduce(own, op=MPI.MAX)
-    its = [step.linear_iterations for step in body.problem.history]
+    seconds_assembly = sum(step.seconds_assembly for step in body.problem.history)
+    assembly = comm.allreduce(seconds_assembly, op=MPI.MAX)
+    iterations = [step.linear_iterations for step in body.problem.history]
     return first_step.sizes(body) | {
-        "newton_iterations": len(its),
-        "linear_iterations_per_newton": its,
-        "linear_iterations_mean": float(np.mean(its)),
+        "newton_iterations": len(iterations),
+        "linear_iterations_per_newton": iterations,
+        "linear_iterations_mean": float(np.mean(iterations)),
         "seconds_reading": sum(spent[name] for name in READING),
         "seconds_once": {name: spent[name] for name in ONCE},
         "seconds_fixed": fixed,
@@ -108,16 +110,16 @@ def count(case: Record, comm: MPI.Comm) -> Record:
     """Count what each process sends in reading, set-up and an iteration. Collective."""
     logging.getLogger("dolfinx_feti").setLevel(logging.CRITICAL)  # it is not to converge
     PETSc.Log.begin()
-    wall: list[Wall] = []
-    tube = _written(case | {"geometry": "tube", "size": 1.0}, comm)
-    file = _written(case, comm)
-    read_wall(tube, comm)  # whatever is loaded at first
+    walls: list[Wall] = []  # the one that is read
+    tube = _wall_file(case | {"geometry": "tube", "size": 1.0}, comm)
+    file = _wall_file(case, comm)
+    read_wall(tube, comm)  # loads libraries and creates buffers
     peak = PeakMemory()
     before = _bytes_read()
-    reading = counted(lambda: wall.append(read_wall(file, comm)), comm)
-    held = peak.mib_above_start(MPI.COMM_SELF), _bytes_read() - before
-    mib, read = (comm.allreduce(number, op=MPI.MAX) for number in held)
-    body = _create(case, wall[0])
+    reading = counted(lambda: walls.append(read_wall(file, comm)), comm)
+    mib = comm.allreduce(peak.mib_above_start(MPI.COMM_SELF), op=MPI.MAX)
+    bytes_read = comm.allreduce(_bytes_read() - before, op=MPI.MAX)
+    body = _create(case, walls[0])
     body.problem.linearise()
     b = body.problem.A.createVecLeft()
     b.setRandom()
@@ -125,16 +127,16 @@ def count(case: Record, comm: MPI.Comm) -> Record:
     ksp = body.problem.solver.getKSP()
     ksp.setOperators(body.problem.A)
     setup = counted(ksp.setUp, comm)
-    _iterate(ksp, b, x, WARM)
+    _iterate(ksp, b, x, WARM_UP_ITERATIONS)
     first = _coarse_solves()
-    few = counted(lambda: _iterate(ksp, b, x, FEW), comm)
+    few = counted(lambda: _iterate(ksp, b, x, FEW_ITERATIONS), comm)
     middle = _coarse_solves()
-    more = counted(lambda: _iterate(ksp, b, x, MORE), comm)
+    many = counted(lambda: _iterate(ksp, b, x, MANY_ITERATIONS), comm)
     last = _coarse_solves()
-    each = (more - few) / (MORE - FEW)  # (processes, counters)
-    solves = ((last - middle) - (middle - first)) / (MORE - FEW)
+    each = (many - few) / (MANY_ITERATIONS - FEW_ITERATIONS)  # (processes, counters)
+    solves = ((last - middle) - (middle - first)) / (MANY_ITERATIONS - FEW_ITERATIONS)
     entries, flops = comm.bcast(coarse_factor(ksp.getPythonContext()))
-    met = more[:, COUNTERS.index("neighbours")]
+    neighbours = many[:, COUNTERS.index("neighbours")]
     messages = each[:, COUNTERS.index("messages")]
     return first_step.sizes(body) | {
         "coarse_solves": solves,
@@ -144,10 +146,10 @@ def count(case: Record, comm: MPI.Comm) -> Record:
         "iteration": _summary(each),
         "reading": _summary(reading),
         "reading_mib": mib,
-        "reading_bytes": read,
-        "neighbours": float(met.max()),
-        "neighbours_mean": float(met.mean()),
-        "messages_to_each": float(messages.sum() / max(met.sum(), 1.0)),
+        "reading_bytes": bytes_read,
+        "neighbours": float(neighbours.max()),
+        "neighbours_mean": float(neighbours.mean()),
+        "messages_to_each": float(messages.sum() / max(neighbours.sum(), 1.0)),
     }
 
 
@@ -156,7 +158,7 @@ def _bytes_read() -> int:
     return int(re.search(r"rchar:\s+(\d+)", Path("/proc/self/io").read_text())[1])
 
 
-def _written(case: Record, comm: MPI.Comm) -> Path:
+def _wall_file(case: Record, comm: MPI.Comm) -> Path:
     """Return the file of a case's wall for this number of processes; write it if it is missing."""
     folder = Path(case["folder"])
     name = f"{case['geometry']}_{case['size']}_{comm.size}"
@@ -169,10 +171,10 @@ def _written(case: Record, comm: MPI.Comm) -> Path:
 
 def _create(case: Record, wall: Wall) -> Body:
     """Create the problem of a case on its wall."""
-    own = {"feti_type": case["type"], "feti_pc_type": case["pc"], "snes_max_it": STEPS}
+    options = {"feti_type": case["type"], "feti_pc_type": case["pc"], "snes_max_it": NEWTON_STEPS}
     if case["choices"] == "default" and case["task"] == "count":
-        own["feti_formulation"] = "primal"  # that of every Newton step after the first one
-    return first_step.create(wall, case, case["subdomains"], own)
+        options["feti_formulation"] = "primal"  # that of every Newton step after the first one
+    return first_step.create(wall, case, case["subdomains"], options)
 
 
 def _iterate(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, iterations: int) -> None:
@@ -189,7 +191,7 @@ def _iterate(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec, iterations: int) -> Non
 
 
 def coarse_factor(feti: FETI) -> tuple[float, float]:
-    """Return entries and flops of the factor of the coarse matrix; zeros without one."""
+    """Return the entries and flops of the factor of the coarse matrix; zeros without a factor."""
     factor = getattr(feti.formulation.coarse.solver, "factor", None)
     if isinstance(factor, RowsOfInverse):
         factor = factor.factor
