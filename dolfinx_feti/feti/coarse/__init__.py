@@ -33,7 +33,7 @@ each repetition, and MUMPS factors it in place of the faster fronts. To select o
 dof, take the copy with the smallest number: ``Copies.pair_copies`` numbers the copies of each row
 over all processes. Rows with a prescribed value have no pairs, and their columns average to zero.
 
-In the order of the data: rounding, adaptive, basis, dofmap, assembly, averaged, energy, group,
+In the order of the data: adaptive, basis, rounding, dofmap, assembly, averaged, energy, group,
 fronts, inverse, solver, null_space, products, zero_energy, primal_problem, weighted_columns,
 dual_problem.
 """

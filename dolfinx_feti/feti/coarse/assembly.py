@@ -25,9 +25,10 @@ from petsc4py import PETSc
 import numpy as np
 import scipy.sparse
 
+from dolfinx_feti.feti.coarse.basis import SubdomainColumns
 from dolfinx_feti.feti.coarse.dofmap import CoarseDofMap, consecutive_numbers
 from dolfinx_feti.feti.subdomain.failures import on_subdomains
-from dolfinx_feti.runtime.arrays import Array, Indices, Numbers
+from dolfinx_feti.runtime.arrays import Array, Indices, Numbers, concatenate, consecutive_slices
 from dolfinx_feti.runtime.native import load_with_header, pointer
 from dolfinx_feti.torn.matrix import create_torn_matrix
 
@@ -39,8 +40,12 @@ class CoarseAssembler:
     then :meth:`assemble`.
     """
 
-    def __init__(self, dofmap: CoarseDofMap) -> None:
+    def __init__(self, by_subdomain: Sequence[SubdomainColumns], dofmap: CoarseDofMap) -> None:
         """Create a zero matrix. Collective.
+
+        Args:
+            by_subdomain: The columns of each subdomain of this process.
+            dofmap: Owners of their coarse dofs.
 
         Raises:
             SetUpError: The matrix does not fit into memory; on all processes.
@@ -48,8 +53,8 @@ class CoarseAssembler:
         comm = dofmap.comm
         self._dofmap = dofmap
         self._code = load_with_header(Path(__file__).with_name("assembly.c"), comm)
-        self._pattern, self._block_of_panel = on_subdomains(
-            lambda: create_pattern(dofmap.first_dofs, dofmap.widths, dofmap.panels), comm
+        self._pattern, self._blocks_of_subdomains = on_subdomains(
+            lambda: create_block_pattern(by_subdomain), comm
         )
         self._values = on_subdomains(lambda: np.zeros(self._pattern.start[-1]), comm)
 
@@ -59,11 +64,10 @@ class CoarseAssembler:
         Raises:
             ValueError: The element matrix has another shape.
         """
-        rows = self._dofmap.rows[i]
-        c_i = rows.stop - rows.start
+        blocks = self._blocks_of_subdomains[i]
+        c_i = int(self._pattern.width[blocks].sum())
         if element.shape != (c_i, c_i):
             raise ValueError(f"element matrix {i} is {element.shape}, not ({c_i}, {c_i})")
-        blocks = self._block_of_panel[self._dofmap.panels[i]]
         add_element(self._code, self._pattern, blocks, element, self._values)
 
     def assemble(self) -> PETSc.Mat:
@@ -122,25 +126,27 @@ class BlockPattern:
         return np.floor_divide(np.diff(self.start), self.width, dtype=np.int64)
 
 
-def create_pattern(
-    first_dofs: Numbers, widths: Indices, panels: Sequence[slice]
-) -> tuple[BlockPattern, Indices]:
+def create_block_pattern(
+    by_subdomain: Sequence[SubdomainColumns],
+) -> tuple[BlockPattern, list[Indices]]:
     """Return the pattern of the sum of element matrices.
 
     Args:
-        first_dofs: First dof of each panel, (panels,). Panels of the same block have the same one.
-        widths: Number of dofs of each panel, (panels,).
-        panels: Panels of each subdomain.
+        by_subdomain: The columns of each subdomain. Panels of the same block, on several
+            subdomains, have the same first dof.
 
     Returns:
-        The pattern, and the block of each panel, (panels,).
+        The pattern, and for each subdomain the block of each of its panels, (panels of W_i,).
     """
+    first_dofs = concatenate([columns.first_dofs for columns in by_subdomain], np.int64)
+    widths = concatenate([columns.W.widths for columns in by_subdomain], np.int32)
+    panels = consecutive_slices([len(columns.first_dofs) for columns in by_subdomain])
     first_dof_of_block, inverse = np.unique(first_dofs, return_inverse=True)
     block_of_panel = inverse.astype(np.int32)
     block_width = np.zeros(len(first_dof_of_block), dtype=np.int32)
     block_width[block_of_panel] = widths
     ones = np.ones(len(block_of_panel), dtype=np.int32)
-    panel_ends = [0, *(each.stop for each in panels)]
+    panel_ends = [0, *(of_subdomain.stop for of_subdomain in panels)]
     blocks_of_subdomain = scipy.sparse.csr_array(
         (ones, block_of_panel, panel_ends), (len(panels), len(first_dof_of_block))
     )
@@ -160,7 +166,7 @@ def create_pattern(
         column=column.astype(np.int32),
         start=np.cumsum(np.append(0, block_width * row_length)),
     )
-    return pattern, block_of_panel
+    return pattern, [block_of_panel[of_subdomain] for of_subdomain in panels]
 
 
 def add_element(

@@ -27,42 +27,51 @@ import numpy as np
 
 from dolfinx_feti.feti.interface.copies import Copies
 from dolfinx_feti.feti.subdomain.panels import Panels, load_panels
-from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Numbers
+from dolfinx_feti.runtime.arrays import Array, Indices, Integers, Numbers, consecutive_slices
 from dolfinx_feti.runtime.collective import on_all
 
 
 @dataclass(frozen=True, slots=True)
-class LocalCoarseBasis:
-    """The coarse columns on the interface of each subdomain of this process.
+class SubdomainColumns:
+    """The coarse columns of one subdomain i: its own, and all that are nonzero on its interface.
 
     Attributes:
-        W: :math:`W_i` of each subdomain, (n_{Γ,i}, c_i); its panels are in the order of the blocks.
-        first_dofs: For each subdomain, the first coarse dof of each panel of W_i, numbered over all
-            processes, ascending, (panels of W_i,).
+        rows: Rows of the subdomain in an interface vector, (n_Γ,).
+        U: Columns U_i that it contributes, (n_{Γ,i}, k_i).
+        block: Their coarse dofs, as a slice of a coarse vector of this process, (n_c,).
+        W: :math:`W_i`, all columns on its interface, (n_{Γ,i}, c_i), with a panel for each block.
+        first_dofs: First coarse dof of each panel of W_i, numbered over all processes, ascending,
+            (panels,).
+        dofs: Coarse dofs of W_i, owned ones and ghosts, as a slice of a torn coarse vector, (c,)
+            (``dofmap``).
     """
 
-    W: list[Panels]
-    first_dofs: list[Numbers]
+    rows: slice
+    U: Array
+    block: slice
+    W: Panels
+    first_dofs: Numbers
+    dofs: slice
 
 
-def averaged_columns(copies: Copies, U: Sequence[Array]) -> LocalCoarseBasis:
+def averaged_columns(copies: Copies, U: Sequence[Array]) -> list[SubdomainColumns]:
     """Compute the averages :math:`W_i = (T V)_i` on each subdomain. Collective.
 
     Args:
         copies: Copies of the interface dofs.
         U: Columns that each subdomain contributes, (n_{Γ,i}, k_i).
     """
-    return _local_basis(copies, _Averages(copies, U))
+    return _columns_of_subdomains(copies, U, _Averages(copies, U))
 
 
-def jump_columns(copies: Copies, U: Sequence[Array]) -> LocalCoarseBasis:
+def jump_columns(copies: Copies, U: Sequence[Array]) -> list[SubdomainColumns]:
     """Compute the scaled jumps :math:`W_i = U_i - (T V)_i` on each subdomain. Collective.
 
     Args:
         copies: Copies of the interface dofs.
         U: Columns that each subdomain contributes, (n_{Γ,i}, k_i).
     """
-    return _local_basis(copies, _Jumps(copies, U))
+    return _columns_of_subdomains(copies, U, _Jumps(copies, U))
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +184,9 @@ def _column_of_each_block(copies: Copies, U: Sequence[Array], j: int) -> Array:
     return u
 
 
-def _local_basis(copies: Copies, columns: _Columns) -> LocalCoarseBasis:
+def _columns_of_subdomains(
+    copies: Copies, U: Sequence[Array], columns: _Columns
+) -> list[SubdomainColumns]:
     """Collect the values of the columns in panels. Collective.
 
     The panel rows are sorted by subdomain and block, and their values are stored row by row. So
@@ -183,7 +194,8 @@ def _local_basis(copies: Copies, columns: _Columns) -> LocalCoarseBasis:
 
     Args:
         copies: Copies of the interface dofs.
-        columns: The columns.
+        U: Columns that each subdomain contributes, (n_{Γ,i}, k_i).
+        columns: The columns on all interfaces.
     """
     comm = copies.comm
     code = load_panels(comm)
@@ -198,22 +210,28 @@ def _local_basis(copies: Copies, columns: _Columns) -> LocalCoarseBasis:
     row_bounds = np.searchsorted(subdomain[order], np.arange(len(copies.rows) + 1))
     value_bounds = np.append(first_value, len(values))[row_bounds]
 
-    def create_panels() -> list[tuple[Panels, Numbers]]:
-        return [
-            _panels_of_subdomain(
+    blocks = consecutive_slices([U_i.shape[1] for U_i in U])
+
+    def create() -> list[SubdomainColumns]:
+        by_subdomain: list[SubdomainColumns] = []
+        first_torn_dof = 0
+        for i, rows in enumerate(copies.rows):
+            W_i, first_dofs = _panels_of_subdomain(
                 code,
                 rows,
                 panel_rows.select(slice(row_bounds[i], row_bounds[i + 1])),
                 values[value_bounds[i] : value_bounds[i + 1]],
             )
-            for i, rows in enumerate(copies.rows)
-        ]
+            dofs = slice(first_torn_dof, first_torn_dof + W_i.shape[1])
+            first_torn_dof = dofs.stop
+            by_subdomain.append(
+                SubdomainColumns(
+                    rows=rows, U=U[i], block=blocks[i], W=W_i, first_dofs=first_dofs, dofs=dofs
+                )
+            )
+        return by_subdomain
 
-    of_subdomains = on_all(create_panels, comm)
-    return LocalCoarseBasis(
-        W=[W_i for W_i, _ in of_subdomains],
-        first_dofs=[first_dofs for _, first_dofs in of_subdomains],
-    )
+    return on_all(create, comm)
 
 
 def _panels_of_subdomain(

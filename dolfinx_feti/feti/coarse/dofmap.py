@@ -20,8 +20,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx_feti.feti.coarse.basis import LocalCoarseBasis
-from dolfinx_feti.runtime.arrays import Array, Integers, Numbers, concatenate, consecutive_slices
+from dolfinx_feti.feti.coarse.basis import SubdomainColumns
+from dolfinx_feti.runtime.arrays import Array, Integers, Numbers, concatenate
 from dolfinx_feti.runtime.star_forest import broadcast, create_star_forest, sum_leaves
 
 
@@ -33,36 +33,26 @@ class CoarseDofMap:
 
     Attributes:
         comm: Communicator of the columns.
-        rows: Rows of each subdomain in a torn vector, c_i of them.
         c: Length of a torn vector.
         n_c: Number of dofs that this process owns.
         N_c: Number of dofs over all processes.
-        panels: Panels of each subdomain, among all of this process.
-        first_dofs: First coarse dof of each panel over all processes, (panels,).
-        widths: Number of dofs of each panel, (panels,).
     """
 
-    def __init__(
-        self, basis: LocalCoarseBasis, block_widths: Sequence[int], comm: MPI.Comm
-    ) -> None:
+    def __init__(self, by_subdomain: Sequence[SubdomainColumns], comm: MPI.Comm) -> None:
         """Find the owners of all dofs. Collective.
 
         Args:
-            basis: The columns on the interface of each subdomain.
-            block_widths: Number k_i of columns that each subdomain contributes. Those of a
-                subdomain without interface count, too; the basis has no panel for them.
+            by_subdomain: The columns of each subdomain of this process. Those that a subdomain
+                without interface contributes have dofs, too, but no panel.
             comm: Communicator of the columns.
         """
         self.comm = comm
-        self.n_c = sum(block_widths)
+        self.n_c = sum(columns.U.shape[1] for columns in by_subdomain)  # Σ k_i
         self.N_c = comm.allreduce(self.n_c)
-        columns = [W_i.shape[1] for W_i in basis.W]  # c_i
-        self.rows = consecutive_slices(columns)
-        self.c = sum(columns)
-        self.panels = consecutive_slices([len(first) for first in basis.first_dofs])
-        self.first_dofs = concatenate(basis.first_dofs, np.int64)
-        self.widths = concatenate([W_i.widths for W_i in basis.W], np.int32)
-        dofs = consecutive_numbers(self.first_dofs, self.widths)  # of a torn vector, (c,)
+        self.c = sum(columns.W.shape[1] for columns in by_subdomain)  # Σ c_i
+        first_dofs = concatenate([columns.first_dofs for columns in by_subdomain], np.int64)
+        widths = concatenate([columns.W.widths for columns in by_subdomain], np.int32)
+        dofs = consecutive_numbers(first_dofs, widths)  # of a torn vector, (c,)
         self._forest = create_star_forest(dofs, self.n_c, comm)
 
     def scatter_reverse(self, torn_e: Array) -> Array:

@@ -20,6 +20,8 @@ If A has a null space Z = E Z_c, then N Z_c = 0, and N is made regular along Z_c
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -39,7 +41,7 @@ from dolfinx_feti.feti.subdomain.block_diagonal import (
 from dolfinx_feti.feti.subdomain.failures import on_subdomains
 from dolfinx_feti.feti.subdomain.generalized_inverse import GeneralizedInverse
 from dolfinx_feti.feti.subsolver_options import DirectOptions
-from dolfinx_feti.runtime.arrays import Array, concatenate, consecutive_slices
+from dolfinx_feti.runtime.arrays import Array, Indices, concatenate, consecutive_slices
 from dolfinx_feti.runtime.lifetime import Lifetime
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.null_space import read_null_space
@@ -57,6 +59,21 @@ NULL_SPACE_RESISTED = (
     "Single subdomains resist the null space of A, although their sum does not, and the coarse "
     "matrix of the dual formulation is regular along it: use feti_formulation primal."
 )
+
+
+@dataclass(frozen=True, slots=True)
+class _SubdomainMotions:
+    """The motions of one subdomain.
+
+    Attributes:
+        dofs: Torn dofs of the rows of E, (n_i,).
+        E: The motions, (n_i, k_i).
+        block: Their coarse dofs, as a slice of a coarse vector of this process, (n_c,).
+    """
+
+    dofs: Indices
+    E: Array
+    block: slice
 
 
 class DualCoarseProblem:
@@ -104,15 +121,18 @@ class DualCoarseProblem:
         modes = inverse.modes
         widths = [of_subdomain.E.shape[1] for of_subdomain in modes]
         self._torn = torn
-        self._subdomains = inverse.by_subdomain
-        self._blocks = consecutive_slices(widths)  # in a coarse vector, (n_c,)
+        blocks = consecutive_slices(widths)
+        self._motions = [
+            _SubdomainMotions(K_i.dofs, K_i.modes.E, block)
+            for K_i, block in zip(inverse.by_subdomain, blocks, strict=True)
+        ]
         self.n_c = sum(widths)
         self.N_c = comm.allreduce(self.n_c)
         are_exact = all(of_subdomain.is_exact for of_subdomain in modes)
         self.has_exact_kernel = comm.allreduce(are_exact, op=MPI.LAND)
         self.MG: WeightedColumns | None = None
         with Lifetime() as owned:
-            E = block_columns(torn, [(K_i.dofs, K_i.modes.E) for K_i in inverse.by_subdomain])
+            E = block_columns(torn, [(motions.dofs, motions.E) for motions in self._motions])
             self.G = owned.own(gluing.B.matMult(E))  # G = B E
             E.destroy()
             self.q = owned.own(_diagonal_weight(torn, preconditioner.B_D.matrix, weight))
@@ -174,13 +194,13 @@ class DualCoarseProblem:
 
     def restrict(self, f: Array) -> Array:
         """Return the forces along the motions, e = Eᵀ f, (n,) → (n_c,)."""
-        return concatenate([K_i.modes.E.T @ f[K_i.dofs] for K_i in self._subdomains])
+        return concatenate([motions.E.T @ f[motions.dofs] for motions in self._motions])
 
     def prolong(self, s: Array) -> Array:
         """Return the displacement E s, (n_c,) → (n,)."""
         u = np.zeros(self._torn.n)
-        for K_i, block in zip(self._subdomains, self._blocks, strict=True):
-            u[K_i.dofs] = K_i.modes.E @ s[block]  # E_i s_i
+        for motions in self._motions:
+            u[motions.dofs] = motions.E @ s[motions.block]  # E_i s_i
         return u
 
     def _amplitudes(self, Z: Array) -> Array:
@@ -188,7 +208,7 @@ class DualCoarseProblem:
         if not Z.size:
             return np.zeros((self.n_c, Z.shape[1]))
         return np.vstack(
-            [np.linalg.pinv(K_i.modes.E) @ Z[K_i.dofs] for K_i in self._subdomains]  # E⁺ Z
+            [np.linalg.pinv(motions.E) @ Z[motions.dofs] for motions in self._motions]  # E⁺ Z
         )
 
     def destroy(self) -> None:

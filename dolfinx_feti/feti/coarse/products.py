@@ -20,6 +20,8 @@ and A₀ are in double precision. Single precision is used on a subdomain if
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from mpi4py import MPI
 from petsc4py import PETSc
 
@@ -28,9 +30,11 @@ import numpy.typing as npt
 
 from dolfinx_feti.feti.coarse.assembly import CoarseAssembler
 from dolfinx_feti.feti.coarse.averaged import AveragedBasis
+from dolfinx_feti.feti.coarse.basis import SubdomainColumns
 from dolfinx_feti.feti.coarse.solver import CoarseSolver
 from dolfinx_feti.feti.subdomain.failures import on_subdomains
 from dolfinx_feti.feti.subdomain.panels import rows_product
+from dolfinx_feti.feti.subdomain.schur import SchurComplement
 from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
 from dolfinx_feti.runtime.arrays import Array, concatenate
 from dolfinx_feti.runtime.lifetime import Lifetime
@@ -58,30 +62,53 @@ MAX_GROWTH = 2.0 / SINGLE_EPS
 GROWTH_SOLVES = 2
 
 
+@dataclass(slots=True)
+class SubdomainProduct:
+    """Y_i = S_iᵀ W_i of one subdomain.
+
+    Attributes:
+        columns: The columns, with W_i.
+        Y_transposed: Y_iᵀ, (c_i, n_{Γ,i}), of type float32 or float64.
+    """
+
+    columns: SubdomainColumns
+    Y_transposed: EitherPrecision
+
+    @property
+    def is_single_precision(self) -> bool:
+        """Whether Y_iᵀ is stored in single precision."""
+        return self.Y_transposed.dtype != np.float64
+
+    def multiply(self, z: Array) -> Array:
+        """Return Y_iᵀ (T z)_i, (n_Γ,) → (c_i,)."""
+        columns = self.columns
+        return rows_product(columns.W.code, self.Y_transposed, z[columns.rows])
+
+
 class StoredProducts:
     """Vᵀ A, subdomain by subdomain; created by :func:`compute_products`.
 
     Attributes:
-        Y_transposed: Y_iᵀ of each subdomain, (c_i, n_{Γ,i}), of type float32 or float64.
+        by_subdomain: The product of each subdomain.
     """
 
     def __init__(
         self,
         V: AveragedBasis,
         S: SchurOperator,
+        by_subdomain: list[SubdomainProduct],
         *,
         is_symmetric: bool,
-        Y_transposed: list[EitherPrecision],
     ) -> None:
         """Refer to V and S, which outlive this object, and keep the products.
 
         Args:
             V: The coarse basis.
             S: Schur complements of the present matrix.
+            by_subdomain: The product of each subdomain.
             is_symmetric: Whether the S_i are symmetric.
-            Y_transposed: Y_iᵀ of each subdomain, (c_i, n_{Γ,i}).
         """
-        self.Y_transposed = Y_transposed
+        self.by_subdomain = by_subdomain
         self._V = V
         self._S = S
         self._is_symmetric = is_symmetric
@@ -91,17 +118,14 @@ class StoredProducts:
         V = self._V
 
         def multiply_locally() -> Array:
-            subdomains = zip(V.W, self.Y_transposed, V.copies.rows, strict=True)
-            return concatenate(
-                [rows_product(W_i.code, Yt, z[rows]) for W_i, Yt, rows in subdomains]
-            )
+            return concatenate([product.multiply(z) for product in self.by_subdomain])
 
         torn_e = V.copies.errors.guard(multiply_locally, V.dofmap.c)  # Y_iᵀ (T z)_i
         return V.dofmap.scatter_reverse(torn_e)
 
     def has_single_precision(self) -> bool:
         """Return True if the products of any subdomain are in single precision. Collective."""
-        is_single = any(Yt.dtype != np.float64 for Yt in self.Y_transposed)
+        is_single = any(product.is_single_precision for product in self.by_subdomain)
         return bool(self._V.copies.comm.allreduce(is_single, op=MPI.LOR))
 
     def store_in_double_precision(self) -> None:
@@ -112,16 +136,16 @@ class StoredProducts:
         """
 
         def compute() -> None:
-            for i, Yt in enumerate(self.Y_transposed):
-                if Yt.dtype != np.float64:
-                    Y_i = _product(self._V, self._S, i, is_symmetric=self._is_symmetric)
-                    self.Y_transposed[i] = np.ascontiguousarray(Y_i.T)
+            for S_i, product in zip(self._S.by_subdomain, self.by_subdomain, strict=True):
+                if product.is_single_precision:
+                    Y_i = _multiply(S_i, product.columns, is_symmetric=self._is_symmetric)
+                    product.Y_transposed = np.ascontiguousarray(Y_i.T)
 
         on_subdomains(compute, self._V.copies.comm)
 
     def destroy(self) -> None:
         """Free the products."""
-        self.Y_transposed.clear()
+        self.by_subdomain.clear()
 
 
 def compute_products(
@@ -144,23 +168,24 @@ def compute_products(
         SetUpError: A product failed on some subdomain; on all processes.
     """
     comm = V.copies.comm
-    assembler = CoarseAssembler(V.dofmap)
+    assembler = CoarseAssembler(V.by_subdomain, V.dofmap)
     stiffness = interface_stiffness(V, S)
-    Y_transposed: list[EitherPrecision] = []
+    by_subdomain: list[SubdomainProduct] = []
 
     def compute() -> None:
-        for i, (W_i, rows) in enumerate(zip(V.W, V.copies.rows, strict=True)):
-            is_single = allow_single_precision and _fits_single_precision(stiffness[rows])
-            Y_i = _product(V, S, i, is_symmetric=is_symmetric)
-            Y_transposed.append(
-                np.ascontiguousarray(Y_i.T, np.float32 if is_single else np.float64)
+        for i, (S_i, columns) in enumerate(zip(S.by_subdomain, V.by_subdomain, strict=True)):
+            is_single = allow_single_precision and _fits_single_precision(stiffness[columns.rows])
+            Y_i = _multiply(S_i, columns, is_symmetric=is_symmetric)
+            Y_transposed: EitherPrecision = np.ascontiguousarray(
+                Y_i.T, np.float32 if is_single else np.float64
             )
+            by_subdomain.append(SubdomainProduct(columns, Y_transposed))
             # The product W_iᵀ Y_i is the transpose of the element matrix W_iᵀ S_i W_i.
-            element = W_i.multiply_transposed(Y_i, is_symmetric=is_symmetric)
+            element = columns.W.multiply_transposed(Y_i, is_symmetric=is_symmetric)
             assembler.add(i, element if is_symmetric else element.T)
 
     on_subdomains(compute, comm)
-    products = StoredProducts(V, S, is_symmetric=is_symmetric, Y_transposed=Y_transposed)
+    products = StoredProducts(V, S, by_subdomain, is_symmetric=is_symmetric)
     return products, assembler.assemble()
 
 
@@ -169,9 +194,9 @@ def interface_stiffness(V: AveragedBasis, S: SchurOperator) -> Array:
     return np.abs(S.torn.diagonal()[V.copies.dofs])
 
 
-def _product(V: AveragedBasis, S: SchurOperator, i: int, *, is_symmetric: bool) -> Array:
+def _multiply(S_i: SchurComplement, columns: SubdomainColumns, *, is_symmetric: bool) -> Array:
     """Return Y_i = S_iᵀ W_i, (n_{Γ,i}, c_i)."""
-    return S.by_subdomain[i].multiply_panels(V.W[i], transpose=not is_symmetric)
+    return S_i.multiply_panels(columns.W, transpose=not is_symmetric)
 
 
 def _fits_single_precision(stiffness: Array) -> bool:

@@ -11,13 +11,16 @@ proves that A is indefinite only if it is below :data:`NEGATIVE_ENERGY_MARGIN` t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from dolfinx_feti.feti.coarse.basis import SubdomainColumns
 from dolfinx_feti.feti.interface.copies import Copies
 from dolfinx_feti.feti.subdomain.failures import on_subdomains
-from dolfinx_feti.feti.subdomain.panels import Panels
+from dolfinx_feti.feti.subdomain.schur import SchurComplement
 from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
-from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.runtime.arrays import Array, concatenate
 from dolfinx_feti.runtime.collective import total_of
 from dolfinx_feti.torn.rounding import EPS
 
@@ -38,35 +41,45 @@ def proves_indefinite(copies: Copies, S: SchurOperator, v: Array, energy: float)
         v: Assembled vector by its copies, (n_Γ,).
         energy: Its computed energy.
     """
-    norms = on_subdomains(lambda: _estimated_norms(S), copies.comm)
-    squares = [float(v[rows] @ v[rows]) for rows in copies.rows]  # ‖(T v)_i‖²
-    bound = EPS * total_of(float(np.dot(norms, squares)), copies.comm)
+
+    def sum_over_subdomains() -> float:
+        total = 0.0
+        for S_i in S.by_subdomain:
+            v_i = v[S_i.subdomain.interface_rows]
+            total += _estimated_norm(S_i) * float(v_i @ v_i)  # ‖S_i‖_F ‖(T v)_i‖²
+        return total
+
+    local_sum = on_subdomains(sum_over_subdomains, copies.comm)
+    bound = EPS * total_of(local_sum, copies.comm)
     return energy < -NEGATIVE_ENERGY_MARGIN * bound
 
 
-def column_energy_rounding(S: SchurOperator, W: list[Panels]) -> list[Array]:
+def column_energy_rounding(S: SchurOperator, by_subdomain: Sequence[SubdomainColumns]) -> Array:
     """Return each subdomain's part of the bound for its columns, ε ‖S_i‖_F ‖W_i e_j‖². Collective.
 
     Args:
         S: Schur complements of the subdomains of this process.
-        W: Coarse columns on the interface of each subdomain, (n_{Γ,i}, c_i).
+        by_subdomain: Columns of the same subdomains.
 
     Returns:
-        The bounds of each subdomain, (c_i,).
+        The bounds, a torn coarse vector, (c,).
     """
-    norms = on_subdomains(lambda: _estimated_norms(S), S.torn.comm)
-    return [EPS * norm * W_i.squares() for W_i, norm in zip(W, norms, strict=True)]
+
+    def compute() -> Array:
+        subdomains = zip(S.by_subdomain, by_subdomain, strict=True)
+        return concatenate(
+            [EPS * _estimated_norm(S_i) * columns.W.squares() for S_i, columns in subdomains]
+        )
+
+    return on_subdomains(compute, S.torn.comm)
 
 
-def _estimated_norms(S: SchurOperator) -> list[float]:
-    """Return estimates of ‖S_i‖_F: the norm of S_i ω for a vector ω of normal random numbers.
+def _estimated_norm(S_i: SchurComplement) -> float:
+    """Return an estimate of ‖S_i‖_F: the norm of S_i ω for a vector ω of normal random numbers.
 
     E ‖S_i ω‖² = ‖S_i‖_F². The seed makes ω the same in each run, for any distribution of the
     subdomains over processes.
     """
-    norms = []
-    for S_i in S.by_subdomain:
-        n_i = len(S_i.subdomain.interface)
-        ω = np.random.default_rng(n_i).standard_normal((n_i, 1))
-        norms.append(float(np.linalg.norm(S_i.multiply(ω))))
-    return norms
+    n_Γ = len(S_i.subdomain.interface)
+    ω = np.random.default_rng(n_Γ).standard_normal((n_Γ, 1))
+    return float(np.linalg.norm(S_i.multiply(ω)))

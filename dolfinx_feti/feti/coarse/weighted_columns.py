@@ -17,6 +17,7 @@ neighbours.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from petsc4py import PETSc
 
@@ -33,11 +34,26 @@ from dolfinx_feti.runtime.arrays import Array, concatenate
 from dolfinx_feti.runtime.lifetime import Lifetime
 
 
+@dataclass(frozen=True, slots=True)
+class SubdomainWeightedColumns:
+    """X_i of one subdomain.
+
+    Attributes:
+        rows: Rows of the subdomain in an interface vector, (n_Γ,).
+        dofs: Its coarse dofs, as a slice of a torn coarse vector, (c,).
+        X: :math:`X_i`, (n_{Γ,i}, c_i).
+    """
+
+    rows: slice
+    dofs: slice
+    X: Array
+
+
 class WeightedColumns:
     """M G; created by :func:`compute_weighted_columns`.
 
     Attributes:
-        X: :math:`X_i` of each subdomain, (n_{Γ,i}, c_i).
+        by_subdomain: :math:`X_i` of each subdomain.
     """
 
     def __init__(
@@ -45,17 +61,17 @@ class WeightedColumns:
         preconditioner: Preconditioner,
         copies: Copies,
         dofmap: CoarseDofMap,
-        X: Sequence[Array],
+        by_subdomain: Sequence[SubdomainWeightedColumns],
     ) -> None:
         """Own copies and dof map: :meth:`destroy` frees them.
 
         Args:
             preconditioner: M, with B_D; it outlives this object.
             copies: Copies of the interface dofs.
-            dofmap: Coarse dofs of each subdomain.
-            X: X_i of each subdomain, (n_{Γ,i}, c_i).
+            dofmap: Owners of the coarse dofs.
+            by_subdomain: X_i of each subdomain.
         """
-        self.X = X
+        self.by_subdomain = by_subdomain
         self._M = preconditioner
         self._copies = copies
         self._dofmap = dofmap
@@ -64,15 +80,15 @@ class WeightedColumns:
         """Return M G s, (n_c,) → (m,). Collective."""
         torn_s = self._dofmap.scatter_forward(s)
         t = np.zeros(self._M.operator.torn.n)
-        subdomains = zip(self.X, self._dofmap.rows, strict=True)
-        t[self._copies.dofs] = concatenate([X_i @ torn_s[dofs] for X_i, dofs in subdomains])  # X s
+        t[self._copies.dofs] = concatenate(
+            [part.X @ torn_s[part.dofs] for part in self.by_subdomain]  # X s
+        )
         return self._M.B_D @ t  # B_D X s
 
     def multiply_transposed(self, r: Array) -> Array:
         """Return Gᵀ M r, (m,) → (n_c,). Collective."""
         w = (self._M.B_D.T @ r)[self._copies.dofs]  # w = B_Dᵀ r
-        subdomains = zip(self.X, self._copies.rows, strict=True)
-        torn_e = concatenate([X_i.T @ w[rows] for X_i, rows in subdomains])
+        torn_e = concatenate([part.X.T @ w[part.rows] for part in self.by_subdomain])
         return self._dofmap.scatter_reverse(torn_e)  # Xᵀ w
 
     def destroy(self) -> None:
@@ -102,18 +118,19 @@ def compute_weighted_columns(
     with Lifetime() as owned:
         copies = owned.own(Copies(operator.torn, operator.interfaces, delta, operator.errors))
         E = inverse.E_on_interface(comm)
-        basis = jump_columns(copies, E)
-        dofmap = owned.own(CoarseDofMap(basis, [E_i.shape[1] for E_i in E], comm))
-        assembler = CoarseAssembler(dofmap)
-        X: list[Array] = []
+        jumps = jump_columns(copies, E)
+        dofmap = owned.own(CoarseDofMap(jumps, comm))
+        assembler = CoarseAssembler(jumps, dofmap)
+        by_subdomain: list[SubdomainWeightedColumns] = []
 
         def compute() -> None:
-            for i, W_i in enumerate(basis.W):
+            for i, columns in enumerate(jumps):
+                W_i = columns.W
                 X_i = preconditioner.multiply_stabilised(i, W_i)  # (Y_i + Y_Z Y_Zᵀ) W_i
-                X.append(X_i)
+                by_subdomain.append(SubdomainWeightedColumns(columns.rows, columns.dofs, X_i))
                 assembler.add(i, W_i.multiply_transposed(X_i))  # W_iᵀ X_i
 
         on_subdomains(compute, comm)
         galerkin_matrix = assembler.assemble()  # Gᵀ M G
         owned.release()  # WeightedColumns takes over copies and dof map
-    return WeightedColumns(preconditioner, copies, dofmap, X), galerkin_matrix
+    return WeightedColumns(preconditioner, copies, dofmap, by_subdomain), galerkin_matrix

@@ -27,7 +27,7 @@ import numpy as np
 from dolfinx_feti.feti.accuracy import ErrorTest
 from dolfinx_feti.feti.coarse.averaged import AveragedBasis
 from dolfinx_feti.feti.coarse.dual_problem import DualCoarseProblem
-from dolfinx_feti.feti.coarse.primal_problem import PrimalCoarseProblem
+from dolfinx_feti.feti.coarse.primal_problem import create_primal_coarse_problem
 from dolfinx_feti.feti.dual import krylov
 from dolfinx_feti.feti.dual.recovery import recover
 from dolfinx_feti.feti.dual.system import DualSystem
@@ -356,7 +356,9 @@ def _min_negative_eigenvalues(pattern: Pattern, setup: Setup) -> int | None:
         copies = owned.own(Copies(pattern.torn, operator.interfaces, setup.delta, pattern.errors))
         V = owned.own(AveragedBasis(copies, E))
         coarse_space = owned.own(
-            PrimalCoarseProblem(V, operator, options=pattern.subsolvers.coarse)
+            create_primal_coarse_problem(
+                V, operator, options=pattern.subsolvers.coarse, is_symmetric=True
+            )
         )
         negative = coarse_space.negative_eigenvalues
     return None if negative is None else interior + negative

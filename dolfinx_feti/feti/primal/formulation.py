@@ -27,7 +27,10 @@ from petsc4py import PETSc
 import numpy as np
 
 from dolfinx_feti.feti.accuracy import ErrorTest
-from dolfinx_feti.feti.coarse.primal_problem import PrimalCoarseProblem
+from dolfinx_feti.feti.coarse.primal_problem import (
+    PrimalCoarseProblem,
+    create_primal_coarse_problem,
+)
 from dolfinx_feti.feti.monitor import Monitor
 from dolfinx_feti.feti.pattern import Pattern
 from dolfinx_feti.feti.primal.deflation import DeflationSpace, create_deflation_space
@@ -305,7 +308,7 @@ def create_primal_formulation(
         require_supported(pattern.torn, pattern.bodies)
         if not operator.is_interior_eliminated:
             require_regular_interior_blocks(pattern, operator)
-        coarse = PrimalCoarseProblem(
+        coarse = create_primal_coarse_problem(
             preconditioner.V,
             operator,
             options=options,

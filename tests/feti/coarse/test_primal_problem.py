@@ -59,7 +59,7 @@ def test_single_precision_products_keep_the_coarse_matrix(torn_grid, create_prim
     double = create_primal(problem, type="all_floating", interior="eliminate", coarse_modes=2)
     monkeypatch.undo()
     single = create_primal(problem, type="all_floating", interior="eliminate", coarse_modes=2)
-    agree(all(Y.dtype == np.float32 for Y in single.coarse.VtA.Y_transposed))
+    agree(all(part.is_single_precision for part in single.coarse.VtA.by_subdomain))
     equal(dense(single.coarse.A_0), dense(double.coarse.A_0), 1e-12)
     copies = double.system.copies
     z = copies.average(random_local(copies.size))
@@ -76,7 +76,8 @@ def test_dependent_columns_are_dropped(torn_grid, create_primal):
 
     def again(setup, copies):
         columns = []
-        for U_i in plain.coarse.V.U:
+        for contributed in plain.coarse.V.by_subdomain:
+            U_i = contributed.U
             noise = 1e-12 * np.random.default_rng(SEED).standard_normal(U_i.shape)
             columns.append(np.hstack([1e5 * (U_i + noise), 0.0 * U_i[:, :1]]))
         return columns

@@ -13,7 +13,7 @@ from collective import COMM, agree, equal, raises
 
 from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.coarse.assembly import BlockPattern, CoarseAssembler, add_element
-from dolfinx_feti.feti.coarse.basis import LocalCoarseBasis
+from dolfinx_feti.feti.coarse.basis import SubdomainColumns
 from dolfinx_feti.feti.coarse.dofmap import CoarseDofMap
 from dolfinx_feti.feti.primal.assembled_product import SharedBlock, add_block, load_block_code
 from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts
@@ -229,9 +229,19 @@ def test_element_matrices_of_distant_subdomains_are_refused():
     """An element matrix has blocks of adjacent subdomains only, and the size of them."""
     base = 2 * COMM.rank
     one = create_panels(1, starts=[0, 1], rows=[0], widths=[1], values=[1.0])
-    basis = LocalCoarseBasis([one, one], [np.array([base + i]) for i in (0, 1)])
-    dofmap = CoarseDofMap(basis, [1, 1], COMM)
-    assembler = CoarseAssembler(dofmap)
+    by_subdomain = [
+        SubdomainColumns(
+            rows=slice(i, i + 1),
+            U=np.ones((1, 1)),
+            block=slice(i, i + 1),
+            W=one,
+            first_dofs=np.array([base + i]),
+            dofs=slice(i, i + 1),
+        )
+        for i in (0, 1)
+    ]
+    dofmap = CoarseDofMap(by_subdomain, COMM)
+    assembler = CoarseAssembler(by_subdomain, dofmap)
     apart = BlockPattern(
         first_dof=np.arange(2),
         width=np.ones(2, np.int32),
