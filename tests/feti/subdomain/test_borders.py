@@ -174,8 +174,8 @@ def test_fronts_refuse_matrices_of_another_type(types):
 
 def test_fronts_refuse_an_addend_of_another_size():
     """It has as many rows as the last front."""
-    with raises(ValueError, r"addend_on_last has shape \(3, 3\)"):
-        create_path_fronts().factor(path_matrix(), WorkSpace(), np.eye(3))
+    with raises(ValueError, r"addend has shape \(3, 3\)"):
+        create_path_fronts().factor_sum(path_matrix(), np.eye(3), WorkSpace())
 
 
 @pytest.mark.parametrize(

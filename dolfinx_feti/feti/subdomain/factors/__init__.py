@@ -15,8 +15,8 @@ To add a dense factorisation, write a class with the methods of ``Factor``, and 
   branch.
 - For an indefinite matrix ``SymbolicFactor.factor`` has to return None, even if it can factor it:
   ``woodbury`` counts the negative eigenvalues of K_ρ on that assumption.
-- ``woodbury`` needs the dofs ``SymbolicFactor.last_dofs``, to add a dense matrix on them. If there
-  are none, ``petsc_factor`` factors every block with modes R, such as those of all floating
+- ``woodbury`` adds a dense matrix on the dofs ``SymbolicFactor.last_dofs``, by ``factor_sum``. If
+  there are none, ``petsc_factor`` factors every block with modes R, such as those of all floating
   subdomains. To avoid that, add a branch to ``create.factor_sparse`` that factors K + ρ R Rᵀ.
 - The options choose between the factorisations of this package and the solvers of PETSc
   (``DirectOptions`` in ``feti.subsolver_options``). An option that chooses among the former is a

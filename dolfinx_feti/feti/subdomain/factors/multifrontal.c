@@ -715,6 +715,30 @@ static void store_update(factorisation *w, int i, const double *C, double *S)
     }
 }
 
+// Factor all fronts, children before parents. The addend belongs to the pivots of the last one.
+static int factor_fronts(factorisation *w, const double *addend_on_last,
+                         const factor_storage *storage)
+{
+    const int last = w->tree->front_count - 1;
+    for (int i = 0; i <= last; ++i) {
+        const front *const F = w->tree->fronts + i;
+        const int64_t p = F->p;
+        double *const P = w->stack_end; // before its children are popped, which are below it
+        double *const C = P + p * (p + F->q);
+        int status = assemble_front(w, F, P, C);
+        if (status) return status;
+        if (addend_on_last && i == last) {
+            // The elimination reads the upper triangle only.
+            for (int64_t e = 0; e < p * p; ++e) P[e] += addend_on_last[e];
+        }
+        status = eliminate_pivots(F, P, C, w->dense);
+        if (status) return status;
+        store_factor(F, P, storage->factor);
+        store_update(w, i, C, storage->schur);
+    }
+    return DONE;
+}
+
 int multifrontal_factor(const assembly_tree *tree, const process_matrix *K,
                         const double *addend_on_last, const factor_storage *storage,
                         const dense_routines *dense)
@@ -722,7 +746,6 @@ int multifrontal_factor(const assembly_tree *tree, const process_matrix *K,
     int *const place = allocate_ints(tree->n_i);
     int *const child_places = allocate_ints(tree->max_update_rows);
     int *const waiting = allocate_ints(tree->front_count);
-    int status = place && child_places && waiting ? DONE : NO_MEMORY;
     factorisation w = {.tree = tree,
                        .K = K,
                        .dense = dense,
@@ -730,25 +753,12 @@ int multifrontal_factor(const assembly_tree *tree, const process_matrix *K,
                        .child_places = child_places,
                        .waiting = waiting,
                        .stack_end = storage->work};
-    if (!status) {
+    int status = place && child_places && waiting ? DONE : NO_MEMORY;
+    if (status == DONE) {
         for (int r = 0; r < tree->n_i; ++r) place[r] = -1;
         status = assemble_interface(tree, K, storage->schur);
     }
-    for (int i = 0; i < tree->front_count && !status; ++i) {
-        const front *const F = tree->fronts + i;
-        const int64_t p = F->p;
-        double *const P = w.stack_end; // before its children are popped, which are below it
-        double *const C = P + p * (p + F->q);
-        status = assemble_front(&w, F, P, C);
-        if (addend_on_last && i == tree->front_count - 1) {
-            // The elimination reads the upper triangle only.
-            for (int64_t e = 0; e < p * p; ++e) P[e] += addend_on_last[e];
-        }
-        if (!status) status = eliminate_pivots(F, P, C, dense);
-        if (status) break;
-        store_factor(F, P, storage->factor);
-        store_update(&w, i, C, storage->schur);
-    }
+    if (status == DONE) status = factor_fronts(&w, addend_on_last, storage);
     free(place);
     free(child_places);
     free(waiting);

@@ -197,15 +197,12 @@ class Fronts:
         self._local_index = local_index
         self._n_Γ = int(np.count_nonzero(is_interface_dof))
 
-    def factor(
-        self, K: CSRMatrix, work: WorkSpace, addend_on_last: Array | None = None
-    ) -> FrontElimination | None:
+    def factor(self, K: CSRMatrix, work: WorkSpace) -> FrontElimination | None:
         """Factor K_II and form S of a matrix with the pattern of the analysis.
 
         Args:
             K: Matrix of all subdomains of the process, (n, n).
             work: Work space.
-            addend_on_last: Added to K_II on the dofs ``last_dofs``, (p, p); None for zero.
 
         Returns:
             The factor and S; None if K_II is not positive definite.
@@ -214,13 +211,32 @@ class Fronts:
             FactorError: K has an entry outside of the pattern.
             MemoryError: Memory ran out.
         """
+        return self._factor(K, None, work)
+
+    def factor_sum(self, K: CSRMatrix, addend: Array, work: WorkSpace) -> FrontElimination | None:
+        """Factor K_II with a dense matrix added on ``last_dofs``, like :meth:`factor`.
+
+        Args:
+            K: Matrix of all subdomains of the process, (n, n).
+            addend: The dense matrix, symmetric, (p, p).
+            work: Work space.
+
+        Raises:
+            ValueError: The addend has another shape.
+        """
+        p = len(self.last_dofs)
+        if addend.shape != (p, p):
+            raise ValueError(f"the addend has shape {addend.shape}, not ({p}, {p})")
+        return self._factor(K, addend, work)
+
+    def _factor(
+        self, K: CSRMatrix, addend: Array | None, work: WorkSpace
+    ) -> FrontElimination | None:
+        """Factor K_II, with an addend on ``last_dofs``, (p, p), unless it is None."""
         code = self.code
         n = len(self._local_index)
-        p = len(self.last_dofs)
         if len(K.indptr) != n + 1 or not len(K.indices) == len(K.values) == K.indptr[-1]:
             raise code.error_of(code.lib.NEW_PATTERN)
-        if addend_on_last is not None and addend_on_last.shape != (p, p):
-            raise ValueError(f"addend_on_last has shape {addend_on_last.shape}, not ({p}, {p})")
         values = np.empty(self.factor_entries)
         schur = np.zeros(self._n_Γ * (self._n_Γ + 1) // 2)
         work_entries = work.entries(self.work_entries)
@@ -234,10 +250,8 @@ class Fronts:
             local_index=self._local_index,
         )
         storage = code.struct("factor_storage", factor=values, schur=schur, work=work_entries)
-        addend = code.ffi.NULL
-        if addend_on_last is not None:
-            addend = code.pointer(np.asfortranarray(addend_on_last))
-        status = code.lib.multifrontal_factor(self.tree, matrix, addend, storage, code.dense)
+        entries = code.ffi.NULL if addend is None else code.pointer(np.asfortranarray(addend))
+        status = code.lib.multifrontal_factor(self.tree, matrix, entries, storage, code.dense)
         if status == code.lib.NOT_DEFINITE:
             return None
         code.require_done(status)

@@ -95,18 +95,17 @@ class SymbolicFactor(Protocol):
         """Interior dofs that are eliminated last, (p,), as indices into the interior.
 
         They form one dense block of the factor: a dense matrix can be added to K_II on these dofs
-        without further entries in the factor. Empty if the factorisation has no such block.
+        without further entries in the factor (:meth:`factor_sum`). Empty if the factorisation has
+        no such block.
         """
 
-    def factor(
-        self, K: CSRMatrix, work: WorkSpace, addend_on_last: Array | None = None
-    ) -> Elimination | None:
+    def factor(self, K: CSRMatrix, work: WorkSpace) -> Elimination | None:
         """Factor K_II, and form S, for one matrix with this pattern.
 
         Args:
             K: Matrix of all subdomains of the process, (n, n).
-            work: Work space, shared with other blocks. The results do not refer to it.
-            addend_on_last: Added to K_II on the dofs ``last_dofs``, (p, p); None for zero.
+            work: Work space, shared with other blocks, for a factorisation that needs one. The
+                results do not refer to it.
 
         Returns:
             The factor and S; None if K_II is not positive definite.
@@ -114,6 +113,17 @@ class SymbolicFactor(Protocol):
         Raises:
             FactorError: K has an entry outside of the pattern.
             MemoryError: Memory ran out.
+        """
+
+    def factor_sum(self, K: CSRMatrix, addend: Array, work: WorkSpace) -> Elimination | None:
+        """Factor K_II with a dense matrix added on ``last_dofs``, like :meth:`factor`.
+
+        It is called only if ``last_dofs`` is not empty.
+
+        Args:
+            K: Matrix of all subdomains of the process, (n, n).
+            addend: The dense matrix, symmetric, (p, p).
+            work: Work space, as in :meth:`factor`.
         """
 
 

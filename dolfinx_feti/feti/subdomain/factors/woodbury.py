@@ -147,7 +147,7 @@ def factor_by_woodbury(
     Q = _basis_on_last(R[last_dofs])
     if Q is None:
         return None
-    eliminated = symbolic.factor(K, work, rho * Q @ Q.T)
+    eliminated = symbolic.factor_sum(K, rho * Q @ Q.T, work)  # K_Q
     if eliminated is None:
         return None
     factor = eliminated.factor

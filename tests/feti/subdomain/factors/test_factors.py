@@ -252,7 +252,7 @@ def test_singular_woodbury_correction_is_refused(image):
     R = np.array([[1.0], [1.0]]) * np.sqrt(0.5)
     front = SimpleNamespace(solve=lambda V: np.linalg.solve(V.T, np.diag(image)))
     fronts = SimpleNamespace(
-        last_dofs=np.array([1]), factor=lambda *_: SimpleNamespace(factor=front)
+        last_dofs=np.array([1]), factor_sum=lambda *_: SimpleNamespace(factor=front)
     )
     agree(factor_by_woodbury(fronts, None, R, 1.0, None) is None)
 
