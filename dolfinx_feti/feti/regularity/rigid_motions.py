@@ -36,12 +36,12 @@ from dolfinx_feti.torn.null_space import read_null_space
 
 #: Largest energy of a motion of size one, in the scaled semi-definite matrix, that counts as
 #: rounding: some 50 EPS, for a sum of many products. A choice: half of it changes no test.
-MAX_NULL_ENERGY = 1e-14
+MAX_MOTION_ENERGY = 1e-14
 
 #: Largest force of a motion of size one, in the scaled matrix, that counts as rounding. The
 #: rotation of a body far from the origin is a difference of large numbers and loses digits: the
 #: bound leaves room for four. A choice: half of it changes no test.
-MAX_NULL_FORCE = 1e-12
+MAX_MOTION_FORCE = 1e-12
 
 #: Sine of the angle to a span of motions below which a motion belongs to it. Motions from inverse
 #: iteration are accurate to about 1e-8, and others are at angles near one. A choice between both:
@@ -190,8 +190,8 @@ def _combinations_without_force(forces: Array, motions: Array, *, is_semidefinit
     if is_semidefinite:
         energy = (motions @ basis).T @ (forces @ basis)
         values, Y = np.linalg.eigh(symmetric_part(energy))
-        basis = basis @ Y[:, values <= MAX_NULL_ENERGY]
-    return np.asarray(basis @ null_combinations(forces @ basis, MAX_NULL_FORCE))
+        basis = basis @ Y[:, values <= MAX_MOTION_ENERGY]
+    return np.asarray(basis @ null_combinations(forces @ basis, MAX_MOTION_FORCE))
 
 
 def _combine(fields: Array, coefficients: list[Array], bodies: Bodies) -> Array:

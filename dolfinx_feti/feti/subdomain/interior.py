@@ -23,6 +23,7 @@ from dolfinx_feti.feti.subdomain.factors.petsc_factor import factor_by_petsc
 from dolfinx_feti.feti.subdomain.factors.petsc_solver import FactorOptions
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor
 from dolfinx_feti.feti.subdomain.failures import NumberedErrors, RemediedFactorError
+from dolfinx_feti.feti.subdomain.kernel_detection import MAX_INTERFACE_FORCE
 from dolfinx_feti.feti.subdomain.null_vectors import (
     is_numerically_singular,
     null_vectors,
@@ -33,11 +34,6 @@ from dolfinx_feti.feti.subdomain.subdomain import Subdomain
 from dolfinx_feti.runtime.arrays import Array, Mask
 from dolfinx_feti.torn.matrix import Torn
 from dolfinx_feti.torn.rounding import EPS, FORCE_ROUNDING_MARGIN
-
-#: Largest force on the interface, max |K_ΓI y| over max |K_II| max |y|, that counts as zero.
-#: Measured: up to 2e-7 for null vectors of the assembled matrix, and 0.09 for a motion that the
-#: interface resists.
-MAX_INTERFACE_FORCE = 1e-5
 
 
 def interior_null_vectors(

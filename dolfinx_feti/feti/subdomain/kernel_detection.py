@@ -26,12 +26,16 @@ diagonal d of K_i, and an orthonormal basis :math:`\tilde R` of the span of :mat
    and D are computed from K R.
 5. *Interior* (``interior``): steps 2 and 3 for K_II, which has no rigid modes. Its null vectors are
    null vectors of the assembled matrix if they exert no force on the interface
-   (``interior.MAX_INTERFACE_FORCE``).
+   (:data:`MAX_INTERFACE_FORCE`).
 
-If d spans many orders of magnitude, the matrix is scaled (``scaled``), to :math:`\bar d` times the
-equilibrated one. Modes with little energy then count as well: :data:`NEARLY_NULL` replaces
-:data:`EXACTLY_NULL`. Dependent columns are removed by ``orthonormal.RANK_RTOL`` and
-``orthonormal.MIN_SINE``.
+If d spans many orders of magnitude (:data:`MAX_DIAGONAL_RATIO`), the matrix is scaled (``scaled``),
+to :math:`\bar d` times the equilibrated one. Modes with little energy then count as well:
+:data:`NEARLY_NULL` replaces :data:`EXACTLY_NULL`.
+
+The tolerances of the decisions are below. Those of the tools are beside them: when columns depend
+on each other (``orthonormal``), how null vectors are computed (``null_vectors``), and which error a
+factor in single precision may have (``scaled.MAX_SINGLE_PRECISION_ERROR``). The bound for negative
+eigenvalues of D, ``mode_search.DEFECT_RTOL``, belongs to step 4: D is compared with zero.
 
 To detect null vectors in another way, replace the two functions of ``null_vectors``, which serve
 both K_ρ and K_II. Two shortcuts in ``mode_search`` precede step 2: a factor in single precision is
@@ -58,6 +62,16 @@ MAX_RIGID_FORCE = 1e-12
 #: for mechanisms and single cells, for which D = 0 is right; 2e-13 for an island in a void with
 #: 1e-12 of the stiffness, for which D has to be computed.
 MAX_NULL_FORCE = 3e-14
+
+#: Largest force on the interface, max |K_ΓI y| over max |K_II| max |y|, that counts as zero.
+#: Measured: up to 2e-7 for null vectors of the assembled matrix, and 0.09 for a motion that the
+#: interface resists.
+MAX_INTERFACE_FORCE = 1e-5
+
+#: Largest ratio of two diagonal entries of a matrix that is not scaled. At this ratio, ρ R Rᵀ costs
+#: six of sixteen digits of the smallest stiffness. With half and twice the value, the voids of the
+#: tests converge in the same way.
+MAX_DIAGONAL_RATIO = 1e6
 
 
 @dataclass(frozen=True, slots=True)

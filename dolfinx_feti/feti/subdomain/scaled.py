@@ -21,16 +21,16 @@ import numpy as np
 
 from dolfinx_feti.feti.subdomain.factors.cholesky import SINGLE_ROUNDING
 from dolfinx_feti.feti.subdomain.factors.protocol import Factor, FactorInertia
-from dolfinx_feti.feti.subdomain.kernel_detection import EXACTLY_NULL, NEARLY_NULL, NullTolerances
+from dolfinx_feti.feti.subdomain.kernel_detection import (
+    EXACTLY_NULL,
+    MAX_DIAGONAL_RATIO,
+    NEARLY_NULL,
+    NullTolerances,
+)
 from dolfinx_feti.feti.subdomain.matrix import SubdomainMatrix
 from dolfinx_feti.feti.subdomain.null_vectors import growth, is_numerically_singular, null_vectors
 from dolfinx_feti.feti.subdomain.orthonormal import orthonormal
 from dolfinx_feti.runtime.arrays import Array
-
-#: Largest ratio of two diagonal entries of a matrix that is not scaled. At this ratio, ρ R Rᵀ costs
-#: six of sixteen digits of the smallest stiffness. With half and twice the value, the voids of the
-#: tests converge in the same way.
-MAX_DIAGONAL_RATIO = 1e6
 
 #: Largest relative error of a solve in single precision that a preconditioner may have. The error
 #: is estimated by the growth of random vectors times :data:`SINGLE_ROUNDING`. A tube of 12
