@@ -5,13 +5,22 @@
 
 A new shape is a function in ``tools``, like ``sphere``, and its name here and in docs/contact.md.
 
-- ``tools`` has the signed distances.
-- ``points`` has the element, and ``surface`` the values, at the quadrature points of a surface.
-- ``evaluation`` has gap, pressure, normals and force of a contact.
-- ``crossing`` detects a surface that has passed through a tool.
-- ``contact`` has the energy, the updates of λ, and the results for the user.
+What the law needs:
 
-In the order of the data: tools, points, surface, evaluation, crossing, contact.
+- ``tools`` has the signed distances, and ``points`` the element of values at quadrature points.
+- ``law`` has the forms in u, λ and ε: energy, virtual work and tangent.
+
+What measures and updates a contact:
+
+- ``surface`` has the quadrature points of a surface, and compiles expressions there.
+- ``nodes`` exchanges values at nodes; ``stiffness`` and ``traces`` relate points to nodes.
+- ``evaluation`` has gap, pressure, normals and force, ``rounding`` the errors of the forces.
+- ``state`` updates λ and ε; ``crossing`` detects a surface that has passed through a tool.
+- ``surface_fields`` has functions on a mesh of the surface.
+- ``contact`` joins the parts for a problem, and has the results for the user.
+
+In the order of the data: tools, points, law, surface, nodes, stiffness, traces, evaluation,
+rounding, state, crossing, surface_fields, contact.
 """
 
 from dolfinx_feti.contact.contact import Contact

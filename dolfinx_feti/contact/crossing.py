@@ -11,9 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-import dolfinx
 import ufl
-from ufl.core.expr import Expr
 
 from dolfinx_feti.contact.evaluation import ContactEvaluation
 from dolfinx_feti.runtime.arrays import Array
@@ -46,16 +44,14 @@ class CrossingDetection:
     leads through the tool. If a point slides along a tool, ∇g changes gradually.
     """
 
-    def __init__(self, u: dolfinx.fem.Function, gap: Expr, evaluation: ContactEvaluation) -> None:
+    def __init__(self, evaluation: ContactEvaluation) -> None:
         """Store the present state. Collective.
 
         Args:
-            u: The displacement.
-            gap: Signed distance g of the surface from the tool.
             evaluation: Values at the points of the surface.
         """
-        self._u = u
-        self._constants = ufl.algorithms.analysis.extract_constants(gap)
+        self._u = evaluation.law.u
+        self._constants = ufl.algorithms.analysis.extract_constants(evaluation.law.gap)
         self._evaluation = evaluation
         self.store_state()
 
@@ -71,7 +67,7 @@ class CrossingDetection:
             tolerance: Depth above which the line of a point leads through the tool, over the size
                 of a cell.
         """
-        comm = self._u.function_space.mesh.comm
+        comm = self._evaluation.surface.mesh.comm
         cosines = np.einsum("pi,pi->p", self._stored_normals, self._evaluation.normals())
         has_turned = cosines < 0.0
         if not comm.allreduce(bool(has_turned.any()), op=MPI.LOR):

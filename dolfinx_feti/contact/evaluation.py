@@ -5,102 +5,87 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
 
 import dolfinx
 import ufl
-from ufl.core.expr import Expr
 
-from dolfinx_feti.contact.surface import ContactSurface
+from dolfinx_feti.contact.law import ContactLaw
+from dolfinx_feti.contact.surface import ContactSurface, PointExpression
 from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["ContactEvaluation"]
 
 
 class ContactEvaluation:
-    """Compiled expressions of a contact, in the present state of body and tool.
+    """Values of a contact in the present state of body and tool.
+
+    Only g and ∇g are compiled; the other values follow from them, from λ and from ε.
 
     Attributes:
         surface: The surface, with its points.
+        law: The law, with λ and ε.
     """
 
-    def __init__(
-        self,
-        surface: ContactSurface,
-        gap: Expr,
-        u: dolfinx.fem.Function,
-        multiplier: dolfinx.fem.Function,
-        penalty: dolfinx.fem.Function,
-        virtual_work: ufl.Form,
-    ) -> None:
-        """Compile the expressions. Collective.
+    def __init__(self, surface: ContactSurface, law: ContactLaw) -> None:
+        """Compile g and ∇g. Collective.
 
         Args:
             surface: The surface.
-            gap: Signed distance g of its points from the tool.
-            u: The displacement.
-            multiplier: λ.
-            penalty: ε.
-            virtual_work: δΠ_c, with a test function of the space of u.
+            law: The law.
         """
         self.surface = surface
-        self._u = u
-        self._multiplier = multiplier
-        trial = multiplier - penalty * gap
-        self._gap = surface.evaluator(gap)
-        self._pressure = surface.evaluator(ufl.conditional(ufl.gt(trial, 0.0), trial, 0.0))
-        self._penalty = surface.evaluator(ufl.as_ufl(penalty))
-        V = u.function_space
+        self.law = law
+        self._gap = surface.compile(law.gap)
+        V = law.u.function_space
         v = ufl.TestFunction(V)
         # in place of v: with a unit vector, the derivative of g is a component of ∇g
-        self._direction = dolfinx.fem.Constant(V.mesh, np.zeros(len(u)))
-        slope = ufl.replace(ufl.derivative(gap, u, v), {v: self._direction})
-        self._slope = surface.evaluator(slope)
-        self._force = surface.integrator(ufl.replace(-virtual_work, {v: self._direction}))
+        self._direction = dolfinx.fem.Constant(V.mesh, np.zeros(len(law.u)))
+        slope = ufl.replace(ufl.derivative(law.gap, law.u, v), {v: self._direction})
+        self._slope = surface.compile(slope)
 
     def gap(self) -> Array:
         """Return g at the points, (points,). Collective."""
-        return self._gap()
-
-    def multiplier(self) -> Array:
-        """Return λ at the points, (points,)."""
-        return np.asarray(self._multiplier.x.array[self.surface.dofs])
-
-    def penalty(self) -> Array:
-        """Return ε at the points, (points,). Collective."""
-        return self._penalty()
-
-    def pressure(self) -> Array:
-        """Return p = ⟨λ − ε g⟩₊ at the points, (points,). Collective."""
-        return np.maximum(self._pressure(), 0.0)
+        return self._gap.evaluate()
 
     def normals(self) -> Array:
         """Return ∇g at the points, (points, d). Collective."""
         components = []
-        for direction in np.eye(len(self._u)):
+        for direction in np.eye(len(self.law.u)):
             self._direction.value = direction
-            components.append(self._slope())
+            components.append(self._slope.evaluate())
         return np.column_stack(components)
+
+    def multiplier(self) -> Array:
+        """Return λ at the points, (points,)."""
+        return np.asarray(self.law.multiplier.x.array[self.surface.dofs])
+
+    def penalty(self) -> Array:
+        """Return ε at the points, (points,)."""
+        ε = self.law.penalty
+        dofs = ε.function_space.dofmap.list[self.surface.cells, 0]
+        return np.asarray(ε.x.array[dofs])
+
+    def pressure(self) -> Array:
+        """Return p = ⟨λ − ε g⟩₊ at the points, (points,). Collective."""
+        return np.maximum(self.multiplier() - self.penalty() * self.gap(), 0.0)
 
     def force(self) -> Array:
         """Return the resultant force on the body, ∫ p ∇g dA, (d,). Collective."""
-        components = []
-        for direction in np.eye(len(self._u)):
-            self._direction.value = direction
-            components.append(self._force())
-        return np.array(components)
+        local = (self.surface.weighted_areas * self.pressure()) @ self.normals()
+        return np.asarray(self.surface.mesh.comm.allreduce(local))
 
     def area_stretch(self) -> Array:
         """Return da/dA = ‖cof F N‖ at the points, (points,). Collective."""
-        return self._area_stretch()
+        return self._area_stretch.evaluate()
 
     @cached_property
-    def _area_stretch(self) -> Callable[[], Array]:
-        """Function that evaluates the stretch; compiled at its first use."""
-        F = ufl.Identity(len(self._u)) + ufl.grad(self._u)
-        N = ufl.FacetNormal(self._u.function_space.mesh)
+    def _area_stretch(self) -> PointExpression:
+        """The stretch, compiled when it is first evaluated."""
+        u = self.law.u
+        F = ufl.Identity(len(u)) + ufl.grad(u)
+        N = ufl.FacetNormal(self.surface.mesh)
         normal = ufl.cofac(F) * N
-        return self.surface.evaluator(ufl.sqrt(ufl.dot(normal, normal)))
+        return self.surface.compile(ufl.sqrt(ufl.dot(normal, normal)))

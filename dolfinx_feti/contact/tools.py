@@ -24,14 +24,16 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+import dolfinx
 import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti.runtime.values import require_finite, require_positive
 
-__all__ = ["Tool", "Vector", "cylinder", "half_space", "sphere", "torus", "union"]
+__all__ = ["Tool", "Vector", "cylinder", "gap_from", "half_space", "sphere", "torus", "union"]
 
-#: A signed distance of the current position.
+#: A signed distance of the current position: a function of an expression of UFL, a vector, that
+#: returns an expression, a scalar. ``Any``, because UFL's operators have no types.
 Tool: TypeAlias = Callable[[Any], Any]
 
 #: A point or a direction: numbers, or a Constant or expression of UFL.
@@ -158,6 +160,32 @@ def union(*tools: Tool) -> Tool:
     return distance
 
 
+def gap_from(tool: Tool, u: dolfinx.fem.Function) -> Expr:
+    """Return g(X + u), the signed distance of a displaced body from a tool.
+
+    Args:
+        tool: The tool.
+        u: The displacement.
+
+    Raises:
+        ValueError: The distance is no scalar, or does not depend on the position.
+        TypeError: The tool is no function.
+    """
+    if not callable(tool):
+        raise TypeError(
+            f"tool is {tool!r}: give a function of the position, such as sphere(radius=1.0)."
+        )
+    g = ufl.as_ufl(tool(ufl.SpatialCoordinate(u.function_space.mesh) + u))
+    if g.ufl_shape != () or g.ufl_free_indices:
+        raise ValueError(f"The tool's distance has the shape {g.ufl_shape}: give a scalar.")
+    if u not in ufl.algorithms.extract_coefficients(g):
+        raise ValueError(
+            "The tool's distance does not depend on the position x that it is called with: "
+            "write it in x, as lambda x: x[2] - height."
+        )
+    return g
+
+
 def _length(d: Any) -> Any:
     """Return ‖d‖."""
     return ufl.sqrt(ufl.dot(d, d))
@@ -195,7 +223,7 @@ def _vector(name: str, vector: Vector | None, x: Any) -> Any:
     if len(vector) != len(x):
         raise ValueError(
             f"{name} = {vector} has {len(vector)} components, but the mesh has {len(x)} "
-            "coordinates: give as many; a cylinder across the plane is a sphere there."
+            f"coordinates: give {len(x)}. In the plane a cylinder is sphere(radius, centre)."
         )
     return vector if isinstance(vector, Expr) else ufl.as_vector([float(c) for c in vector])
 

@@ -21,8 +21,8 @@ from dolfinx_feti.runtime.norms import norm
 
 #: Updates end once they change less than this share of the contact's forces on nodes. Each solve
 #: leaves about a tenth of the change before it, as the penalty is ten times the stiffness of the
-#: body (``contact.PENALTY``): two solves leave 1e-2. A tolerance of 0.002 costs most solves one
-#: more update.
+#: body (``contact.state.PENALTY``): two solves leave 1e-2. A tolerance of 0.002 costs most solves
+#: one more update.
 FORCE_RTOL = 0.02
 
 #: The penalty grows after an update that changes the forces by more than this share of the change
@@ -88,7 +88,7 @@ class Contacts:
 
     def choose_missing_penalties(self, system: System) -> None:
         """Choose the penalties that are not set yet, by the present stiffness. Collective."""
-        missing = [contact for contact in self.contacts if not contact.has_penalty()]
+        missing = [contact for contact in self.contacts if not contact.state.has_penalty()]
         if missing:
             self._set_penalties(system, missing)
 
@@ -98,18 +98,18 @@ class Contacts:
         Collective.
         """
         for contact in self.contacts:
-            contact.grow_penalty(PENALTY_GROWTH)
+            contact.state.grow_penalty(PENALTY_GROWTH)
         self._set_penalties(system, self.contacts)
 
     def _set_penalties(self, system: System, contacts: Sequence[Contact]) -> None:
         """Choose penalties by the stiffness of the body without any contact. Collective."""
         with ExitStack() as stack:
             for contact in self.contacts:
-                stack.enter_context(contact.without_tool())
+                stack.enter_context(contact.state.without_tool())
             diagonal = system.assembled_stiffness()
         if np.isfinite(norm(system.comm, diagonal)):  # else Newton reports a residual of NaN
             for contact in contacts:
-                contact.set_penalty(diagonal)
+                contact.state.set_penalty(diagonal)
 
     def fit_multipliers(self) -> None:
         """Replace the multipliers by their fit by traces of u, at the start of a solve. Collective.
@@ -118,28 +118,28 @@ class Contacts:
         and would grow from solve to solve as the contact spreads.
         """
         for contact in self.contacts:
-            contact.fit_multiplier()
+            contact.state.fit_multiplier()
 
     def violation(self) -> float:
         """Return the largest violation over the size of a cell. Collective; needs a contact."""
-        return max(contact.violation() for contact in self.contacts)
+        return max(contact.state.violation() for contact in self.contacts)
 
     def force_change(self) -> float:
         """Return the largest share of a contact's forces that an update changes.
 
         Collective; needs a contact.
         """
-        return max(contact.force_change() for contact in self.contacts)
+        return max(contact.state.force_change() for contact in self.contacts)
 
     def update(self) -> None:
         """Update the multipliers, λ ← ⟨λ − ε g⟩₊. Collective."""
         for contact in self.contacts:
-            contact.update_multiplier()
+            contact.state.update_multiplier()
 
     def store_positions(self) -> None:
         """Store the present positions of body and tools. Collective."""
         for contact in self.contacts:
-            contact.store_state()
+            contact.crossing.store_state()
 
     def require_no_crossing(self, tolerance: float) -> None:
         """Check that no point has crossed a tool since positions were stored. Collective.
@@ -151,7 +151,7 @@ class Contacts:
             ToolCrossedError: A point has.
         """
         for contact in self.contacts:
-            if contact.has_crossed_tool(tolerance):
+            if contact.crossing.has_crossed(tolerance):
                 raise ToolCrossedError(
                     f"The surface of '{contact.name}' has jumped through its tool to the other "
                     "side: load in smaller steps, so that it touches the tool on the way."

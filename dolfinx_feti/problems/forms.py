@@ -241,10 +241,10 @@ def derive(
 
     # contacts
     for contact in contacts:
-        F_u += contact.virtual_work
-        J_u += contact.tangent
+        F_u += contact.law.virtual_work
+        J_u += contact.law.tangent
         if potential is not None:
-            potential += contact.energy
+            potential += contact.law.energy
 
     is_second_derivative = is_energy and not has_given_tangent and not work
     return Forms(

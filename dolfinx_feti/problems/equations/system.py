@@ -118,7 +118,7 @@ class System:
         if forms.energy is not None:
             self._energy = split_form(forms.energy, V.mesh, compiler)
         self._contact_virtual_works = [
-            compiler.form(contact.virtual_work) for contact in forms.contacts
+            compiler.form(contact.law.virtual_work) for contact in forms.contacts
         ]
         self.condensation = _create_condensation(forms, space, compiler)
         self.tangent = TornTangent(forms, space, self.torn_dofs, self.condensation, compiler)
