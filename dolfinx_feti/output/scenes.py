@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from dolfinx_feti.output.pictures.colours import ColourScale
-from dolfinx_feti.output.pictures.drawing import colour_ranges
+from dolfinx_feti.output.pictures.drawing import colour_ranges, require_path_and_panels
 from dolfinx_feti.output.pictures.panels import Panel
 from dolfinx_feti.output.pictures.view import view_of
 from dolfinx_feti.runtime.arrays import Array
@@ -87,9 +87,11 @@ def write_scene(
         The scene, which a notebook shows at the end of a cell.
 
     Raises:
+        TypeError: ``path`` is no path, or ``panel`` no panel.
         ValueError: ``viewer`` is zero or not finite. On all processes.
         OSError: The file cannot be written. On all processes.
     """
+    require_path_and_panels(path, [panel])
     path = Path(path)
 
     def write_here() -> None:

@@ -110,15 +110,18 @@ def _check_rest(rest: States, states: States, *, incompressible: bool) -> list[C
         compare_with_bound(
             "stress-free reference",
             _largest(stress) / scale_at_rest,
-            note="are the fibres unit vectors?",
+            note="psi has a stress at F = I: give unit vectors as fibres, or correct its terms",
         ),
         compare_with_bound(
             "zero energy at the reference",
             np.abs(rest.psi) / scale_at_rest,
-            warn="no stress follows from it",
+            warn="psi has a constant term, without effect on the stress",
         ),
         compare_with_bound(
-            "least energy at the reference", below, F=states.F, warn="a wrong sign?"
+            "least energy at the reference",
+            below,
+            F=states.F,
+            warn="psi is smaller than at F = I: check the signs of its terms",
         ),
     ]
 
@@ -134,7 +137,7 @@ def _check_identities(states: States, rotated: States, R: Array) -> list[Check]:
     scale = _scale(states.A)
     tau = states.P @ states.F.transpose(0, 2, 1)  # P Fᵀ
     asymmetry = states.A - states.A.transpose(0, 3, 4, 1, 2)
-    hint = "write psi in C and J"
+    hint = "psi changes with a rotation: write it in C and J"
 
     def compare(name: str, deviation: Array, note: str = "") -> Check:
         return compare_with_bound(name, deviation / scale, F=states.F, note=note)
@@ -219,7 +222,7 @@ def compare_with_bound(
     notes = [note or warn]
     if np.isnan(value):
         outcome = "fail"
-        notes = ["no number"]
+        notes = ["NaN: psi or a derivative is undefined there"]
     if F is not None:
         notes.append(f"at {state_text(F[worst])}")
     return Check(name, outcome, value, bound, "; ".join(text for text in notes if text))

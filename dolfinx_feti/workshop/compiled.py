@@ -91,7 +91,7 @@ class CompiledEnergy:
         self._values = {name: dolfinx.fem.Constant(mesh, np.float64(1.0)) for name in parameters}
         F = Variable(self._F, LABEL)
         energy = _call(psi, F, self._values)
-        _check_energy(energy, F, set(self._values.values()))
+        _check_energy(energy, F, self._values)
         constants = ufl.algorithms.analysis.extract_constants(energy)
         of_user = [c for c in constants if c not in self._values.values()]
         self._copies = {c: dolfinx.fem.Constant(mesh, c.value) for c in of_user}
@@ -237,28 +237,35 @@ def _call(psi: Callable[..., Expr], F: Variable, parameters: Mapping[str, Expr])
     return psi(**arguments, **parameters)
 
 
-def _check_energy(psi: object, F: Variable, constants: set[Expr]) -> None:
+def _check_energy(psi: object, F: Variable, parameters: Mapping[str, Expr]) -> None:
     """Raise an error unless an energy is a scalar expression of F and of constants with values.
 
     Args:
         psi: The energy.
         F: The deformation gradient.
-        constants: Its parameters.
+        parameters: Its parameters by name.
 
     Raises:
         TypeError: The energy is not a UFL expression.
         ValueError: It is not a scalar, or depends on something else.
     """
     if not isinstance(psi, Expr):
-        raise TypeError(f"psi returns {psi!r}: expected a UFL expression.")
+        raise TypeError(f"psi returns {psi!r}: return a UFL expression of C and J, or of F.")
     if psi.ufl_shape:
-        raise ValueError(f"psi has the shape {psi.ufl_shape}: an energy is a scalar.")
+        raise ValueError(
+            f"psi has the shape {psi.ufl_shape}: an energy is a scalar, such as ufl.tr(C)."
+        )
     terminals = list(unique_pre_traversal(psi))
     if F not in terminals:
-        raise ValueError("psi does not depend on the deformation, so its stress would be zero.")
-    unused = [c for c in constants if c not in terminals]
+        raise ValueError(
+            "psi does not depend on the deformation, so its stress would be zero: write it in its "
+            "arguments C and J, or F."
+        )
+    unused = [name for name, constant in parameters.items() if constant not in terminals]
     if unused:
-        raise ValueError(f"psi does not depend on {len(unused)} of its parameters.")
+        raise ValueError(
+            f"psi does not depend on its parameters {unused}: use them, or leave them out."
+        )
     for e in terminals:
         other = isinstance(e, ufl.Coefficient) and e is not F.ufl_operands[0]
         if other or isinstance(e, (ufl.Argument, ufl.geometry.GeometricQuantity)):

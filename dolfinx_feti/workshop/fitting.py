@@ -267,9 +267,15 @@ def _limits(start: Mapping[str, float], bounds: Mapping[str, tuple[float, float]
     require_within(-math.inf, math.inf, start, remedy="a finite value")
     unknown = set(bounds) - set(start)
     if unknown:
-        raise ValueError(f"bounds has {sorted(unknown)}, which start has not.")
+        raise ValueError(
+            f"bounds has {sorted(unknown)}, which start has not: add start values, or leave the "
+            "bounds out."
+        )
     limits = np.array([bounds.get(name, (-np.inf, np.inf)) for name in start], dtype=np.float64).T
     for name, value, low, high in zip(start, start.values(), *limits, strict=True):
         if not (low < high and low <= value <= high):
-            raise ValueError(f"start has {name} = {value}, bounds ({low}, {high}): start inside.")
+            raise ValueError(
+                f"start has {name} = {value}, and bounds has ({low}, {high}): give a start between "
+                "two different bounds."
+            )
     return limits

@@ -94,7 +94,10 @@ def _stiffness(material: Material) -> Array:
     """
     reference = evaluate(material, np.eye(3))
     if not reference.finite.all():
-        raise ValueError("psi, its stress or its tangent is no finite number at F = I.")
+        raise ValueError(
+            "psi, its stress or its tangent is no finite number at F = I: there are no moduli at "
+            "rest unless psi is smooth there."
+        )
     p = -np.trace(reference.P[0]) / 3 if material.incompressible else 0.0
     A = total_tangent(reference.A, reference.F, np.array([p]))[0]
     return A - np.einsum("ik,jl->ijkl", np.eye(3), reference.P[0] + p * np.eye(3))

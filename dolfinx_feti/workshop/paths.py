@@ -225,7 +225,10 @@ def _path(
     e1 = _unit("along", directions[0])
     e2 = _unit("across", directions[1])
     if abs(e1 @ e2) > NORMAL_ATOL:
-        raise ValueError(f"along = {e1} and across = {e2} are not normal to each other.")
+        raise ValueError(
+            f"along = {directions[0]} and across = {directions[1]} are not normal to each other: "
+            "give directions at right angles."
+        )
     R = np.column_stack((e1, e2, np.cross(e1, e2)))
     units = np.zeros((len(free), 3, 3))
     units[np.arange(len(free)), *np.transpose(free)] = 1.0
@@ -258,7 +261,9 @@ def _stretches(name: str, values: npt.ArrayLike) -> Array:
     """
     numbers = _numbers(name, values)
     if numbers.min() <= 0:
-        raise ValueError(f"{name} = {numbers.min()}: a stretch is positive, and 1 at rest.")
+        raise ValueError(
+            f"{name} has the value {numbers.min()}: a stretch is positive, and 1 at rest."
+        )
     return numbers
 
 

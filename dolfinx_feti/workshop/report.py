@@ -107,10 +107,10 @@ def _check_stiffness(moduli: Moduli) -> Check:
     note = "kPa"
     if moduli.least < -zero:
         outcome = "fail"
-        note = "kPa; a wrong sign?"
+        note = "kPa; a small strain lowers psi: check the signs of its terms"
     elif not moduli.least > zero:
         outcome = "warn"
-        note = "kPa; nothing resists a change of volume, or another strain: give a kappa?"
+        note = "kPa; nothing resists a change of volume, or another strain: give kappa"
     return Check("stiffness at rest positive", outcome, moduli.least, None, note)
 
 
@@ -146,7 +146,7 @@ def _range(name: str, ends: tuple[float, float], *, above: float, rest: float, n
     if not above < first < rest < last < np.inf:
         raise ValueError(f"{name} = {ends}: give a range with {rest:g} (rest) inside.")
     if n < 2:
-        raise ValueError(f"n = {n}: give two states at least.")
+        raise ValueError(f"n = {n}: give at least 2, the two ends of each range.")
     return np.union1d(np.linspace(first, last, n), [rest])
 
 

@@ -137,6 +137,14 @@ def test_nothing_to_draw(tmp_path):
         pictures.field(ufl.as_ufl(1.0), "one")
 
 
+def test_arguments_in_another_order(beam, tmp_path):
+    panel = pictures.field(beam.u, "|u|")
+    with raises(TypeError, "path is FieldPanel.*give the name of the file first"):
+        pictures.draw(panel, tmp_path / "wall.png")
+    with raises(TypeError, "is no panel: give the result of field"):
+        pictures.draw(tmp_path / "wall.png", beam.u)
+
+
 def test_picture_that_cannot_be_written(beam, tmp_path):
     """All processes raise the error."""
     on_first(lambda: (tmp_path / "wall.png").mkdir())

@@ -139,7 +139,7 @@ NAN = float("nan")
         (lambda J: FIELD * J, {}, ValueError, "stiffness, which varies in space"),
         (lambda J: ufl.SpatialCoordinate(MESH)[0] * J, {}, ValueError, "varies in space"),
         (lambda J: ufl.Constant(MESH) * J, {}, ValueError, "which has no value"),
-        (lambda J, c: J**2, {"parameters": {"c": 1.0}}, ValueError, "depend on 1 of its param"),
+        (lambda J, c: J**2, {"parameters": {"c": 1.0}}, ValueError, r"its parameters \['c'\]: use"),
         (neo_hookean, {"parameters": {"k": 1.0}}, TypeError, "unexpected keyword argument 'k'"),
         (neo_hookean, {"parameters": {"c": NAN}}, ValueError, "c = nan: give a finite value"),
         (neo_hookean, {"kappa": -1.0}, ValueError, "kappa = -1.0"),

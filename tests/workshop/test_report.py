@@ -24,6 +24,8 @@ from workshop_materials import (
     rotation,
 )
 
+import ufl
+
 from dolfinx_feti.workshop import (
     check,
     equibiaxial,
@@ -36,6 +38,7 @@ from dolfinx_feti.workshop import (
     uniaxial,
 )
 from dolfinx_feti.workshop.checks import check_law, compare_with_bound, random_states
+from dolfinx_feti.workshop.ellipticity import _first_loss
 
 pytestmark = pytest.mark.serial
 
@@ -154,7 +157,7 @@ def test_nan_at_rest():
     report = check(material(energies.root), n=5)
     assert report.moduli is None and report.ellipticity == ()
     failed = {c.name: c.note for c in report.checks if c.outcome == "fail"}
-    assert failed["stress-free reference"] == "no number"
+    assert failed["stress-free reference"].startswith("NaN: psi or a derivative")
     assert "λ = 1 of uniaxial" in failed["finite values along the paths"]
     assert "no moduli" in str(report)
 
@@ -214,7 +217,9 @@ def test_jump_of_the_tangent(psi, jump, kappa):
 def test_nan_does_not_pass(warn):
     F = np.eye(3)[None].repeat(2, axis=0)
     found = compare_with_bound("property", np.array([0.0, np.nan]), 1.0, F, warn=warn)
-    assert found.outcome == "fail" and found.note.startswith("no number; at F = ")
+    assert found.outcome == "fail" and found.note.startswith(
+        "NaN: psi or a derivative is undefined there; at F = "
+    )
 
 
 @pytest.mark.parametrize("incompressible", [True, False])
@@ -256,7 +261,7 @@ def test_a_check_compiles_nothing(monkeypatch):
         ({"stretches": (0.0, 1.5)}, r"stretches = \(0\.0, 1\.5\)"),
         ({"shears": (0.1, 1.0)}, r"shears = \(0\.1, 1\.0\): give a range with 0"),
         ({"strain": 0.0}, r"strain = 0\.0: give a positive number"),
-        ({"n": 1}, "n = 1: give two states"),
+        ({"n": 1}, "n = 1: give at least 2"),
     ],
 )
 def test_bad_input(arguments, message):
@@ -379,6 +384,43 @@ def test_pressure_does_not_count_if_incompressible():
     bare, stiff = (evaluate(material(energies.hgo, kappa=kappa), F) for kappa in (0.0, 500.0))
     values = [least_eigenvalues(s.F, s.A, incompressible=True)[0] for s in (bare, stiff)]
     assert values[0] == pytest.approx(values[1], rel=1e-8)
+
+
+@pytest.mark.parametrize(("shear", "lost"), [(1e-8, ()), (1e-12, (1.0,))], ids=["soft", "rounding"])
+def test_eigenvalue_of_rounding_is_zero(shear, lost):
+    """Shear moduli over the bulk modulus, on both sides of ZERO_EIGENVALUE."""
+
+    def fluid(C, J):
+        return shear * (ufl.tr(C) - 3 - 2 * ufl.ln(J)) / 2 + (J - 1) ** 2 / 2
+
+    scan = scan_ellipticity(material(fluid, kappa=0.0), uniaxial, [0.999, 1.0, 1.001])
+    assert scan.lost == lost
+
+
+@pytest.mark.parametrize(
+    ("least", "value"),
+    [
+        ([2.0, 1.0, -1.0, -2.0], 1.5),  # a root of the function, halfway
+        ([2.0, np.nan, -1.0, -2.0], None),  # without equilibrium before a loss is seen
+        ([2.0, 1.0, 0.5, 0.1], None),
+        ([-1.0, 1.0, 1.0, 1.0], 0.0),  # at rest
+    ],
+    ids=["root", "no-equilibrium", "elliptic", "rest"],
+)
+def test_first_loss(least, value):
+    values = np.arange(4.0)
+    found = _first_loss(lambda x: 3.0 - 2.0 * x, values, np.array(least), zero=1e-12)
+    assert found == (None if value is None else pytest.approx(value, abs=1e-8))
+
+
+def test_first_loss_next_to_states_without_equilibrium():
+    """Without a root that can be computed, it is the first computed state that is not elliptic."""
+
+    def least_at(value: float) -> float:
+        return np.nan if 1.0 < value < 2.0 else 1.5 - value
+
+    found = _first_loss(least_at, np.arange(3.0), np.array([1.5, 0.5, -0.5]), zero=0.0)
+    assert found == 2.0
 
 
 def test_loss_at_rest():

@@ -18,7 +18,7 @@ from dolfinx_feti.output.pictures.rendering import render
 from dolfinx_feti.output.pictures.view import view_of
 from dolfinx_feti.runtime.collective import on_root
 
-__all__ = ["Picture", "colour_ranges", "draw"]
+__all__ = ["Picture", "colour_ranges", "draw", "require_path_and_panels"]
 
 #: Percentiles of a field at the ends of its colours: corners with singular stresses are cut off.
 PERCENTILES = (1.0, 99.0)
@@ -61,12 +61,12 @@ def draw(
         The picture, which a notebook shows at the end of a cell.
 
     Raises:
+        TypeError: ``path`` is no path, or one of ``panels`` no panel.
         ValueError: There is no panel, or ``viewer`` is zero or not finite.
         RuntimeError: This machine has neither a display nor a library for drawing without one.
         OSError: The file cannot be written. All errors are raised on all processes.
     """
-    if not panels:
-        raise ValueError("There is nothing to draw: give a panel, such as field(u, 'u [mm]').")
+    require_path_and_panels(path, panels)
     path = Path(path)
 
     def draw_here() -> None:
@@ -78,6 +78,27 @@ def draw(
 
     on_root(draw_here, panels[0].comm)
     return Picture(path)
+
+
+def require_path_and_panels(path: object, panels: Sequence[object]) -> None:
+    """Check the first arguments of ``draw`` and ``write_scene``.
+
+    Raises:
+        TypeError: ``path`` is no path, or one of ``panels`` no panel.
+        ValueError: There is no panel.
+    """
+    if not isinstance(path, (str, Path)):
+        raise TypeError(
+            f"path is {path!r:.80}: give the name of the file first, and the panels after it."
+        )
+    for panel in panels:
+        if not isinstance(panel, Panel):
+            raise TypeError(
+                f"{panel!r:.80} is no panel: give the result of field, subdomains or fibres, such "
+                "as field(u, 'u [mm]')."
+            )
+    if not panels:
+        raise ValueError("There is nothing to draw: give a panel, such as field(u, 'u [mm]').")
 
 
 def colour_ranges(
