@@ -15,6 +15,7 @@ from collective import COMM, agree, dense, equal, raises, whole
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.runtime.petsc_library import CSRMatrix
+from dolfinx_feti.torn import symmetry
 from dolfinx_feti.torn.connectivity import block_graph, diagonal_places
 from dolfinx_feti.torn.matrix import Torn, create_torn_matrix, set_condensed_pressures
 from dolfinx_feti.torn.rounding import EPS, product_rounding_squares
@@ -226,6 +227,38 @@ def test_symmetry_is_judged_entry_by_entry(kappa, lifetime):
         agree(symmetric(saddle))
         saddle[20, 25] = 1e-15 * np.abs(saddle[[20, 25]]).max()
         agree(not symmetric(saddle), f"in units of {units}")
+
+
+def test_probe_sees_entries_that_nearly_cancel_in_their_rows():
+    """Three rows with a pair of opposite entries each: the difference of their weights is left.
+
+    The entries are twice SYMMETRY_RTOL, the differences a fiftieth of it.
+    """
+    n = 30
+    weights = np.random.default_rng(n).uniform(1.0, 2.0, n)  # as in the probe
+    rows = np.argsort(weights)
+    k = int(np.argmin(np.abs(weights[rows[2:]] - weights[rows[:-2]] - 0.03)))
+    i, j, k = rows[k : k + 3]
+    K = np.eye(n)
+    for a, b in ((i, j), (j, k), (k, i)):
+        K[a, b] = symmetry.SYMMETRY_RTOL
+        K[b, a] = -symmetry.SYMMETRY_RTOL
+    M = PETSc.Mat().createDense((n, n), array=K, comm=PETSc.COMM_SELF).convert("aij")
+    agree(not symmetry._has_symmetric_entries(M))
+    M.destroy()
+
+
+def test_probe_passes_rounding_without_a_look_at_the_entries(monkeypatch):
+    """Rounding errors of a sum of 30 terms: PROBE_RTOL has room for them."""
+    rng = np.random.default_rng(SEED + 6)
+    n = 30
+    K = rng.standard_normal((n, n))
+    K = K @ K.T + n * np.eye(n)
+    K += 1e-15 * n * rng.standard_normal((n, n))
+    monkeypatch.delattr(symmetry, "csr_of")
+    M = PETSc.Mat().createDense((n, n), array=K, comm=PETSc.COMM_SELF).convert("aij")
+    agree(symmetry._has_symmetric_entries(M))
+    M.destroy()
 
 
 def test_columns_in_any_order(lifetime):
