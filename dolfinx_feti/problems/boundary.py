@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import dolfinx
 import ufl
 
+from dolfinx_feti.fem.user_forms.checks import check_trial_functions
 from dolfinx_feti.problems.arguments import require_form
 from dolfinx_feti.runtime.values import require_type
 from dolfinx_feti.wall.conditions.boundary import Boundary
@@ -75,6 +76,7 @@ def add_boundary(
     residuals = list(F) if isinstance(F, Sequence) else [F]
     for form in residuals:
         require_form("F", form)
+    check_trial_functions(F=residuals, energy=energy)
     if len(residuals) == 1 and not residuals[0].arguments():
         energy = residuals[0]
         fields = (u, *condense)

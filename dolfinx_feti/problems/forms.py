@@ -34,7 +34,12 @@ from dolfinx_feti.fem.quadrature import (
     quadrature_degrees,
     set_quadrature_degrees,
 )
-from dolfinx_feti.fem.user_forms.checks import check_condensed, check_forms, check_meshes
+from dolfinx_feti.fem.user_forms.checks import (
+    check_condensed,
+    check_forms,
+    check_meshes,
+    check_trial_functions,
+)
 from dolfinx_feti.fem.user_forms.deformation import VolumeRatio, find_volume_ratio
 from dolfinx_feti.problems.arguments import require_form, require_torn_space
 from dolfinx_feti.problems.unknowns.block_forms import split_linear, without_parts, zero_load
@@ -289,6 +294,7 @@ def _check_given(
     forms = list(F) if isinstance(F, Sequence) else [F]
     for form in forms:
         require_form("F", form)
+    check_trial_functions(F=F, energy=energy)
     given = {name: form for name, form in (("J", J), ("energy", energy)) if form is not None}
     for name, form in given.items():
         require_form(name, form)

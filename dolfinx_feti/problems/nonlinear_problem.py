@@ -25,7 +25,7 @@ from dolfinx_feti.diagnosis.cell_check import CellCheck
 from dolfinx_feti.diagnosis.cell_volumes import CellVolumes
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.fem.internal_variables import Updated, create_internal_variables
-from dolfinx_feti.fem.user_forms.checks import check_scalar_type, check_trial_functions
+from dolfinx_feti.fem.user_forms.checks import check_scalar_type
 from dolfinx_feti.fem.user_forms.deformation import volume_ratio_of_expression
 from dolfinx_feti.fem.user_forms.forgotten_pressures import check_pressures
 from dolfinx_feti.fem.user_forms.form_content import content_of
@@ -203,7 +203,6 @@ class NonlinearProblem(TornProblem):
         update = _checked_update(before_assembly, u)
         for function in u if isinstance(u, Sequence) else [u]:
             require_function(function)
-        check_trial_functions(F=F, energy=energy)
 
         if boundary is not None:
             bounded = add_boundary(
