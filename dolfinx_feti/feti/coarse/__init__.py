@@ -6,10 +6,11 @@
 A *column* is a displacement of the interface that one subdomain contributes; the *coarse dof* of a
 column is its amplitude. The files, by the formulation that they serve:
 
-- both: ``basis`` evaluates all columns on the interface of each subdomain, ``dofmap`` has the
-  owners of the coarse dofs, ``assembly`` adds up the coarse matrix, and ``solver`` solves with it,
-  by a factor of ``fronts`` or ``group``; ``null_space`` makes the coarse matrix regular if a null
-  space is attached to A. The checks of ``regularity`` solve with it, too.
+- both: ``basis`` evaluates all columns on the interface of each subdomain, and keeps those of one
+  subdomain in a ``SubdomainColumns``; ``dofmap`` has the owners of the coarse dofs; ``assembly``
+  adds up the coarse matrix; ``solver`` solves with it, by a factor of ``fronts`` or ``group``, or
+  by an ``inverse``; ``null_space`` makes the coarse matrix regular if a null space is attached to
+  A. The checks of ``regularity`` solve with it, too.
 - primal: ``adaptive`` computes columns in addition to the motions E of the subdomains; ``averaged``
   makes V of all columns; ``energy`` combines those that depend on each other; ``products`` stores
   Vᵀ A; ``zero_energy`` detects mechanisms; ``rounding`` bounds the errors of energies;

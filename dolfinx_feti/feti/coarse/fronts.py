@@ -183,10 +183,17 @@ def _fronts_of(N: PETSc.Mat, block_widths: Numbers, options: DirectOptions) -> F
         return None
     graph = _block_graph(N, block_widths)
     rows = np.arange(N_c, dtype=np.int32)
-    on_interface = np.zeros(len(graph.widths), dtype=bool)  # N is factored as a whole
+    no_interface = np.zeros(len(graph.widths), dtype=bool)  # N is factored as a whole
     # To the fronts, N is the matrix of one subdomain that has all rows, in the order of N.
     fronts = on_all(
-        lambda: Fronts(code, rows, rows, graph.widths, (graph.ptr, graph.adjacent), on_interface),
+        lambda: Fronts(
+            code,
+            rows=rows,
+            local_index=rows,
+            size=graph.widths,
+            graph=(graph.ptr, graph.adjacent),
+            is_on_interface=no_interface,
+        ),
         comm,
     )
     return None if fronts.factor_entries > MAX_FRONT_ENTRIES else fronts
