@@ -23,7 +23,7 @@ import numpy as np
 import dolfinx
 
 from dolfinx_feti.fem.user_forms.form_content import FormContent
-from dolfinx_feti.runtime.compat import geometry_dofmap
+from dolfinx_feti.runtime.compat import dolfinx_version, geometry_dofmap
 
 __all__ = ["describe_problem", "differences"]
 
@@ -62,6 +62,7 @@ def describe_problem(
         "extent": mesh.comm.allreduce(float(np.abs(x).max(initial=0.0)), op=MPI.MAX),
         "coordinates": _weighted_mean(mesh),
         "forms": None if content is None else content.signature,
+        "dolfinx": dolfinx_version(),
         "constants": constants,
         "changing": list(changing),
     }
@@ -89,7 +90,7 @@ def differences(
     if not compare_forms:
         return messages
     if there["forms"] != here["forms"]:
-        messages.append("its forms, such as the energy of a material, or numbers in them, differ")
+        messages.append(_difference_of_forms(there, here))
         return messages
     for i, value in there["constants"].items():
         if value != here["constants"][i]:
@@ -97,6 +98,23 @@ def differences(
                 f"a Constant of the forms is {value} there and {here['constants'][i]} here"
             )
     return messages
+
+
+def _difference_of_forms(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
+    """Return the difference of two problems with different forms, in words.
+
+    The same program can have other forms with another version of dolfinx.
+    """
+    text = "its forms, such as the energy of a material, or numbers in them, differ"
+    version_there = there.get("dolfinx", "an unknown version")
+    version_here = here["dolfinx"]
+    if version_there == version_here:
+        return text
+    return (
+        f"{text}. It was written with dolfinx {version_there}, and this is {version_here}: another "
+        "version makes other forms of the same program, and if that is all that has changed, pass "
+        "allow_changes=True"
+    )
 
 
 def _weighted_mean(mesh: dolfinx.mesh.Mesh) -> list[float]:

@@ -52,7 +52,9 @@ LIMIT_POINT = (
 )
 
 #: Remedy after other failures at the least increment.
-SMALLER_INCREMENTS = "Allow smaller increments, or refine the mesh."
+SMALLER_INCREMENTS = (
+    "Allow smaller increments by Steps(least=…), check the units of the load, or refine the mesh."
+)
 
 #: Errors whose messages name their remedy themselves.
 WITH_REMEDY = (LinearSolverError, ToolCrossedError)
@@ -157,7 +159,7 @@ class _LoadStepper(Stepper[LoadStep]):
             step_type=LoadStep,
             function_name="follow_load",
             failure="No equilibrium was found beyond a load of",
-            kind="load",
+            quantity="load",
         )
         self._steps = steps
 

@@ -118,7 +118,7 @@ class Progress:
         loads: Sequence[float],
         unit: str,
         number: int,
-        kind: Literal["load", "time"] = "load",
+        quantity: Literal["load", "time"] = "load",
     ) -> None:
         """Open the bar.
 
@@ -129,12 +129,12 @@ class Progress:
             loads: The present load or time, then those to be met, up or down.
             unit: Name of their unit.
             number: Number of steps before this run.
-            kind: What the steps are of, for the log.
+            quantity: What a step increases, for the log.
         """
         self._length = math.fsum(abs(b - a) for a, b in itertools.pairwise(loads))
         self._goal = f"{loads[-1]:g} {unit}".rstrip()
         self._number = number
-        self._kind = kind
+        self._quantity = quantity
         self._seconds = 0.0
         self._remaining = ""  # the remaining time in words; empty if it is not known
         self._snes = snes
@@ -172,7 +172,7 @@ class Progress:
         if step.failures > 0:
             failed = f" after {step.failures} failed attempt(s)"
         line = _joined(
-            f"{self._kind} step {self._number}: {step.load:.5g} of {self._goal}{failed}",
+            f"{self._quantity} step {self._number}: {step.load:.5g} of {self._goal}{failed}",
             f"{len(newton_steps)} Newton steps with {new_tangents} {tangents}",
             f"{linear_iterations} linear iterations",
             f"residual {self._snes.getFunctionNorm():.1e}",
@@ -193,7 +193,7 @@ class Progress:
 
     def log_failure(self, load: float, error: Exception) -> None:
         """Log an attempt that failed."""
-        missing = "equilibrium" if self._kind == "load" else "state"
+        missing = "equilibrium" if self._quantity == "load" else "state"
         self._log(f"no {missing} at {load:.5g}: {error_message(error)}")
 
     def close(self) -> None:

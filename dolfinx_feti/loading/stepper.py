@@ -77,7 +77,7 @@ class Stepper(ABC, Generic[Step]):
         step_type: type[Step],
         function_name: str,
         failure: str,
-        kind: Literal["load", "time"],
+        quantity: Literal["load", "time"],
     ) -> None:
         """Create a stepper in the present state.
 
@@ -89,7 +89,7 @@ class Stepper(ABC, Generic[Step]):
             step_type: Class of the accepted steps.
             function_name: Name of the public function, which a checkpoint stores.
             failure: Beginning of the message after a failure at the least length; a place follows.
-            kind: What a place is, for the log.
+            quantity: What a place is, for the log.
         """
         self.state = state
         self.length = length
@@ -99,7 +99,7 @@ class Stepper(ABC, Generic[Step]):
         self._step_type = step_type
         self._function_name = function_name
         self._failure = failure
-        self._kind = kind
+        self._quantity = quantity
         self._check_signals: Callable[[], None] = _no_signal  # replaced by follow
         self._reached = [self.at]  # targets that were met, and the start
         self._is_loose = False  # whether the present state was solved with a loose tolerance
@@ -145,7 +145,7 @@ class Stepper(ABC, Generic[Step]):
                 loads=[self.at, *targets],
                 unit=unit,
                 number=len(accepted),
-                kind=self._kind,
+                quantity=self._quantity,
             )
             with closing(progress):
                 self._begin(targets, is_restarted=is_restarted)
@@ -225,7 +225,7 @@ class Stepper(ABC, Generic[Step]):
                 self._restore()
                 self._problem.renew()
                 progress.log_failure(to, error)
-                self._shorten(abs(to - before), error)
+                self._shorten(abs(to - before), error, failures=failures)
         on_all(self._check_signals, self._comm)
         self._problem.warn_of_cells()
         step = LoadStep(
@@ -286,15 +286,21 @@ class Stepper(ABC, Generic[Step]):
             self._restore()
             raise
 
-    def _shorten(self, length: float, error: ConvergenceError) -> None:
+    def _shorten(self, length: float, error: ConvergenceError, *, failures: int) -> None:
         """Halve the length of steps after a failure.
+
+        Args:
+            length: The length that failed.
+            error: How it failed.
+            failures: Number of attempts of this step that have failed.
 
         Raises:
             ConvergenceError: The step that failed had the least length.
         """
         if self.length.is_least(length, self.at):
+            attempts = "" if failures == 1 else f", the last of {failures} attempts,"
             text = (
-                f"{self._failure} {self.at:g}: an increment of {length:g} failed, too, and "
+                f"{self._failure} {self.at:g}: an increment of {length:g}{attempts} failed, and "
                 f"{self.length.least:g} is the least allowed. {error} {self._remedy(error)}"
             )
             raise ConvergenceError(text.rstrip()) from error

@@ -153,7 +153,7 @@ class _TimeStepper(Stepper[TimeStep]):
             step_type=TimeStep,
             function_name="follow_time",
             failure="The motion was not found beyond the time",
-            kind="time",
+            quantity="time",
         )
         self._steps = steps
         self._motion = motion
@@ -177,7 +177,7 @@ class _TimeStepper(Stepper[TimeStep]):
         return self.at >= target
 
     def _remedy(self, error: ConvergenceError) -> str:
-        return "Allow shorter steps, or a larger tolerance."
+        return "Allow shorter steps by TimeSteps(least=…), or a larger tolerance."
 
     def _begin(self, targets: Sequence[float], *, is_restarted: bool) -> None:
         """Compute the initial acceleration, unless a restart has read it. Collective."""

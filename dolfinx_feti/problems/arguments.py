@@ -25,17 +25,17 @@ from dolfinx_feti.problems.unknowns.alternatives import alternative_for
 from dolfinx_feti.problems.unknowns.mixed_of_one import MixedOfOne
 from dolfinx_feti.runtime.petsc_options import require_prefix
 
-#: Number of default prefixes of each kind so far. PETSc's database of options, in which they have
-#: to differ, is global to the process, and so is this counter.
+#: Number of default prefixes with each beginning so far. PETSc's database of options, in which they
+#: have to differ, is global to the process, and so is this counter.
 _default_prefixes: Counter[str] = Counter()
 
 
-def checked_prefix(prefix: str | None, kind: str, comm: MPI.Comm) -> str:
+def checked_prefix(prefix: str | None, name: str, comm: MPI.Comm) -> str:
     """Return the prefix of options: the user's, or a unique one if none is given. Collective.
 
     Args:
         prefix: The user's prefix, or None.
-        kind: Beginning of the default prefix.
+        name: Beginning of the default prefix.
         comm: Communicator of the problem.
 
     Raises:
@@ -51,9 +51,9 @@ def checked_prefix(prefix: str | None, kind: str, comm: MPI.Comm) -> str:
     if prefix is not None:
         return require_prefix(prefix)
     # processes may have created different numbers of problems, on communicators of a few of them
-    count = comm.allreduce(_default_prefixes[kind], op=MPI.MAX)
-    _default_prefixes[kind] = count + 1
-    return f"{kind}_{count}_"
+    count = comm.allreduce(_default_prefixes[name], op=MPI.MAX)
+    _default_prefixes[name] = count + 1
+    return f"{name}_{count}_"
 
 
 def require_torn_space(V: dolfinx.fem.FunctionSpace, forms: object = ()) -> None:

@@ -256,6 +256,10 @@ class LinearProblem(TornProblem):
     def solve(self) -> dolfinx.fem.Function | Sequence[dolfinx.fem.Function]:
         """Assemble, solve, and return u; of blocks, the list of solutions. Collective.
 
+        The values of u before do not matter: the system is solved from zero. With scalar unknowns,
+        u and the scalars are zero while the KSP runs, for its monitors, too. After a failure all
+        have the values from before.
+
         Raises:
             ConvergenceError: FETI or the multipliers did not converge.
         """
@@ -266,6 +270,7 @@ class LinearProblem(TornProblem):
             self._solve(assembles_matrix=True)
         else:
             self._solve_with_multipliers(self._volume_multipliers)
+        self._warn_if_unloaded()
         return self.u
 
     def _solve_with_multipliers(self, multipliers: VolumeMultipliers) -> None:
@@ -284,9 +289,9 @@ class LinearProblem(TornProblem):
         zero = system.state.values().p
         multipliers.set(zero)
 
-        def solve(update: int) -> bool:
+        def solve(n_updates: int) -> bool:
             fields.set_values(zero)
-            self._solve(assembles_matrix=update == 0)
+            self._solve(assembles_matrix=n_updates == 0)
             fields.set_values(np.concatenate([field.x.array for field in self._fields]))
             return True
 
@@ -353,8 +358,8 @@ class LinearProblem(TornProblem):
         """Solve A u + B s = −r and the equations of s, with u stored in ``x``. Collective.
 
         The equations of scalars are linearised at u = 0, s = 0. They are written in the Functions
-        of the solution (``Forms.scalar_forms``), which are therefore zero during the solve and get
-        their values back afterwards.
+        of the solution (``Forms.scalar_forms``). If there are any, these Functions are therefore
+        zero during the solve, and get their values back afterwards.
 
         Args:
             r: Residual at zero, with −g on Dirichlet dofs, (owned,).
@@ -363,6 +368,9 @@ class LinearProblem(TornProblem):
             s, (m,).
         """
         scalars = self._system.scalars
+        if scalars.size == 0:
+            self.x.array[:], ds = scalars.solve(self.solver, self.A, r, np.zeros(0))
+            return ds
         u = self.unknown.x.array.copy()
         s = scalars.values()
         self.unknown.x.array[:] = 0.0

@@ -35,27 +35,31 @@ class MultiplierUpdates(Protocol):
         """Return the message of a constraint that is not satisfied, with the remedy."""
 
 
-def update_until_met(kinds: Sequence[MultiplierUpdates], solve: Callable[[int], bool]) -> None:
+def update_until_met(
+    constraints: Sequence[MultiplierUpdates], solve: Callable[[int], bool]
+) -> None:
     """Solve and update multipliers in turn, until all constraints are satisfied.
 
     Args:
-        kinds: The updates of each kind of constraint.
-        solve: Function of the number of updates so far. It solves with the present multipliers, and
-            returns True if the state is within the solver's own tolerances.
+        constraints: The updates of the multipliers of each constraint.
+        solve: Function of the number of updates before it, n_updates. It solves with the present
+            multipliers, and returns True if the state is within the solver's own tolerances.
 
     Raises:
         ConvergenceError: There were too many updates, or ``solve`` failed.
     """
     are_met: list[bool] = []
-    for update in range(MAX_UPDATES):
-        is_solved = solve(update)
-        are_met = [updates.end_solve() for updates in kinds]
+    for n_updates in range(MAX_UPDATES):
+        is_solved = solve(n_updates)
+        are_met = [updates.end_solve() for updates in constraints]
         if is_solved and all(are_met):
             return
-        for updates in kinds:
+        for updates in constraints:
             updates.update()
     failures = [
-        updates.failure() for updates, is_met in zip(kinds, are_met, strict=True) if not is_met
+        updates.failure()
+        for updates, is_met in zip(constraints, are_met, strict=True)
+        if not is_met
     ]
     if not failures:
         failures = ["Newton's method does not reach its tolerances; raise snes_rtol or snes_max_it"]

@@ -485,7 +485,7 @@ class NewtonSolve:
         load = self._convergence.applied_load(iterate)
         if self.history and force > MAX_ROUNDING_SHARE * load:
             warn(_ROUNDING_WARNING.format(force, load), system.comm)
-        return Outcome(Reason.CONVERGED_FNORM_ABS, is_within_tolerances=True)
+        return Outcome(Reason.CONVERGED_FNORM_ABS, is_within_tolerances=True, is_rounding=True)
 
     def _end_with_error(self, error: ErrorEstimate) -> Outcome:
         """Converge: ‖r‖ is small, and no step lowers the estimated error."""

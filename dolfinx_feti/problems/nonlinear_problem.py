@@ -443,6 +443,11 @@ class NonlinearProblem(TornProblem):
             self._run(start)
         else:
             self._run_with_multipliers(start)
+        if not self._contacts:  # a body that no tool touches yet is at rest for a reason
+            self._warn_if_unloaded(
+                "; pass what apply_conditions has returned to the problem, as boundary=",
+                is_rounding=self._newton.outcome.is_rounding and not self.history,
+            )
         if check_cells:
             self.warn_of_cells()
         return self.u
@@ -511,28 +516,28 @@ class NonlinearProblem(TornProblem):
         """
         self._contacts.fit_multipliers()
         reference_norm = min(self.residual_norm(), start.reference_norm)  # with λ = p
-        kinds: list[MultiplierUpdates] = []
+        constraints: list[MultiplierUpdates] = []
         if self._volume_multipliers is not None:
             # a looser solve does not determine p, and so the volume, any better than its tolerance
             tolerance = max(self._volume_multipliers.tolerance, relative_tolerance(self.solver))
             volume = VolumeUpdates(self._volume_multipliers, tolerance)
-            kinds.append(volume)
+            constraints.append(volume)
             self.volume_changes = volume.violations
         if self._contacts:
             contact = ContactUpdates(self._system, self._contacts, self._contact_tolerance)
-            kinds.append(contact)
+            constraints.append(contact)
             self.contact_violations = contact.violations
         is_intermediate = not self._contacts
 
-        def solve(update: int) -> bool:
-            if update:
+        def solve(n_updates: int) -> bool:
+            if n_updates > 0:
                 self._history_before_update += self._newton.history
-            begin = Start() if update else start
+            begin = Start() if n_updates > 0 else start
             begin = replace(begin, reference_norm=reference_norm, is_intermediate=is_intermediate)
             self._run(begin)
             return self._newton.outcome.is_within_tolerances
 
-        update_until_met(kinds, solve)
+        update_until_met(constraints, solve)
         self._contacts.require_no_crossing(self._contact_tolerance)
         self._contacts.store_positions()
         self._contacts.update_pressures()

@@ -254,13 +254,13 @@ def check_newton_solver(snes: PETSc.SNES, newton: object) -> None:
     Raises:
         ValueError: Its type, its context or its KSP is not the package's own any more.
     """
-    kind = snes.getType()
-    if kind is not None and kind.startswith(VARIATIONAL_PREFIX):
-        raise ValueError(f"problem.solver has the type {kind}, which {BOUNDS_TEXT}")
-    if kind != PETSc.SNES.Type.PYTHON or snes.getPythonContext() is not newton:
+    solver_type = snes.getType()
+    if solver_type is not None and solver_type.startswith(VARIATIONAL_PREFIX):
+        raise ValueError(f"problem.solver has the type {solver_type}, which {BOUNDS_TEXT}")
+    if solver_type != PETSc.SNES.Type.PYTHON or snes.getPythonContext() is not newton:
         raise ValueError(
-            f"problem.solver has the type {kind} or another context, but it drives the package's "
-            "own Newton's method: leave its type alone, or use a SNES of your own with "
+            f"problem.solver has the type {solver_type} or another context, but it drives the "
+            "package's own Newton's method: leave its type alone, or use a SNES of your own with "
             "problem.linear_system()."
         )
     check_linear_solver(snes.getKSP(), "problem.solver.getKSP()")
@@ -276,11 +276,11 @@ def check_linear_solver(ksp: PETSc.KSP, name: str) -> None:
     Raises:
         ValueError: It is not FETI's any more.
     """
-    kind = ksp.getType()
-    if kind != PETSc.KSP.Type.PYTHON or not isinstance(ksp.getPythonContext(), FETI):
+    solver_type = ksp.getType()
+    if solver_type != PETSc.KSP.Type.PYTHON or not isinstance(ksp.getPythonContext(), FETI):
         raise ValueError(
-            f"{name} has the type {kind}, but only FETI solves with the torn matrix: leave its "
-            "type alone, or convert problem.A by A.convert('aij') for a KSP of your own."
+            f"{name} has the type {solver_type}, but only FETI solves with the torn matrix: leave "
+            "its type alone, or convert problem.A by A.convert('aij') for a KSP of your own."
         )
 
 

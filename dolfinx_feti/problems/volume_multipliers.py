@@ -112,17 +112,14 @@ class VolumeMultipliers:
 
         Returns:
             The largest change of the mean of r_p(0, λ) in a cell, each field relative to its |c|.
+            If λ is set to the p that has solved its equation with the λ before, that is the largest
+            abs(mean J − 1) of a cell: J − 1 = (p − λ)/κ, so that the change measures the volume.
         """
         change = on_all(lambda: self._fields.set_multipliers(pressure), self.comm)
         return float(self.comm.allreduce(change, op=MPI.MAX))
 
     def set_to_pressure(self) -> float:
-        """Set λ to the pressure p of the present state. Collective.
-
-        Returns:
-            The largest abs(mean J − 1) of a cell, if p has solved its equation with the λ before:
-            that is J − 1 = (p − λ)/κ, so that the change of λ measures the volume.
-        """
+        """Set λ to the pressure of the present state; return what :meth:`set` does. Collective."""
         return self.set(self.pressure())
 
 
@@ -158,7 +155,7 @@ class VolumeUpdates(MultiplierUpdates):
     def end_solve(self) -> bool:
         """Set λ to the present pressure; return True if each cell keeps its volume. Collective."""
         self._p = self._multipliers.pressure()
-        self.violations.append(self._multipliers.set_to_pressure())
+        self.violations.append(self._multipliers.set(self._p))
         allowed = self._tolerance
         if self._is_relative:
             allowed *= self.violations[0]

@@ -153,6 +153,11 @@ def package_version() -> str:
     return str(sys.modules["dolfinx_feti"].__version__)
 
 
+def dolfinx_version() -> str:
+    """Return the version of dolfinx."""
+    return str(dolfinx.__version__)  # type: ignore[attr-defined]
+
+
 def nan_residual_reason() -> int:
     """Return SNES's converged reason for a residual that is NaN or Inf; PETSc 3.25 renamed it."""
     reasons = PETSc.SNES.ConvergedReason
@@ -162,5 +167,5 @@ def nan_residual_reason() -> int:
 
 def _is_dolfinx_at_least(major: int, minor: int) -> bool:
     """Return True if dolfinx has this version or a later one."""
-    numbers = dolfinx.__version__.split(".")  # type: ignore[attr-defined]
+    numbers = dolfinx_version().split(".")
     return (int(numbers[0]), int(numbers[1])) >= (major, minor)

@@ -22,6 +22,7 @@ from walls import create_mesh
 import dolfinx
 
 from dolfinx_feti.loading.checkpoint import Checkpoint
+from dolfinx_feti.loading.identity import describe_problem, differences
 
 PARAMETERS = {"kappa": 1000.0, "layers": [29, 62], "law": "HGO"}
 ROUNDING = 1e-14
@@ -111,6 +112,21 @@ def test_where_a_process_has_no_cell(tmp_path):
     f.x.array[:] = 0.0
     opened(tmp_path).read([f])
     equal(f.x.array, before)
+
+
+@pytest.mark.parametrize(
+    ("version", "expected"),
+    [(dolfinx.__version__, False), ("0.1.2", True)],
+    ids=["same_version", "other_version"],
+)
+def test_other_forms_of_another_version(state, version, expected):
+    """The message names both versions, and what to do if only these differ."""
+    here = describe_problem(state.functions, None, []) | {"forms": "a"}
+    there = here | {"forms": "b", "dolfinx": version}
+    (text,) = differences(there, here, compare_forms=True)
+    agree("numbers in them, differ" in text, text)
+    agree((f"dolfinx 0.1.2, and this is {dolfinx.__version__}" in text) == expected, text)
+    agree(("allow_changes=True" in text) == expected, text)
 
 
 @pytest.mark.parametrize(

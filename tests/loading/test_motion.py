@@ -111,7 +111,7 @@ def test_pulse():
     u = body.u
     rate = motion.velocity
     ü = motion.acceleration
-    a = motion.filtered
+    a = motion.algorithmic_acceleration
     v = ufl.TestFunction(u.function_space)
     balance = body.F_u + ufl.inner(DENSITY * ü + dashpot * rate, v) * ufl.dx
     p_scale = ufl.inner(1.0, ufl.TestFunction(body.p.function_space)) * ufl.dx
@@ -153,6 +153,23 @@ def test_second_order_and_balance(rho):
     ratio = np.linalg.norm(found[0] - found[1]) / np.linalg.norm(found[1] - found[2])
     agree(3.2 < ratio < 4.8, ratio)
     agree(lost[2] < lost[0] / 10.0, lost)
+
+
+@pytest.mark.parametrize("rho", [1.0, 0.8, 0.0])
+def test_estimated_error_of_a_step(rho):
+    """It is exact if the acceleration grows linearly from rest, a = j t, with u = j t³/6."""
+    dt = 0.1
+    j = np.array([3.0, -4.0, 12.0])
+    u = dolfinx.fem.Function(dolfinx.fem.functionspace(cube(3, 1), ("Lagrange", 1, (3,))))
+    motion = Motion(u, DENSITY, rho=rho)
+    motion.begin_step(dt)
+    α_m = (2 * rho - 1) / (rho + 1)
+    α_f = rho / (rho + 1)
+    β = 0.25 * (1 - α_m + α_f) ** 2
+    by_newmark = β * dt**2 * j * dt  # a is zero at the beginning, and j Δt at the end
+    u.x.array[:] = np.tile(by_newmark, len(u.x.array) // 3)
+    exact = j * dt**3 / 6
+    equal(motion.error_of_step(), np.abs(by_newmark - exact).max(), 1e-12)
 
 
 def body(n: int, degree: int) -> tuple[dolfinx.fem.Function, ufl.Form]:

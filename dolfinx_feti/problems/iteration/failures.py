@@ -23,7 +23,10 @@ Reason = PETSc.SNES.ConvergedReason
 CLOSER_START = "begin closer to the solution, such as with that of another parameter"
 
 #: The remedy {0} of most failures, for a displacement.
-SMALLER_LOAD_STEPS = "load in smaller steps (loading.follow_load adapts them)"
+SMALLER_LOAD_STEPS = (
+    "load in smaller steps (loading.follow_load halves them down to Steps(least=…)), and check the "
+    "units of the load"
+)
 
 #: Appended to the message if a tangent was singular although there are contacts.
 UNSUPPORTED = (
@@ -148,9 +151,11 @@ class Outcome:
         error: Class of the error that the problem raises after a failure.
         is_within_tolerances: Whether the SNES's own tolerances are met: an intermediate solve ends
             before that.
+        is_rounding: Whether rounding ended the solve: all of the residual is rounding.
     """
 
     reason: int
     message: str = ""
     error: type[ConvergenceError] = ConvergenceError
     is_within_tolerances: bool = False
+    is_rounding: bool = False

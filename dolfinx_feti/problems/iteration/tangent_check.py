@@ -94,8 +94,9 @@ class Cause(Enum):
         "expression in u, update it in before_assembly=, or change it between solves."
     )
     KINK = (
-        "F has a kink in u ({0}), across which the tangent jumps: smooth it, such as the positive "
-        "part of x by (x + sqrt(x**2 + e**2))/2, soften the penalty, or take smaller steps."
+        "F has a kink in u ({0}), across which the tangent jumps, as where fibres slacken: smooth "
+        "it, such as the positive part of x by (x + sqrt(x**2 + e**2))/2, soften the penalty, or "
+        "take smaller steps."
     )
     HIDDEN_DEPENDENCE = (
         "F changes with u in a way that its derivative does not see: write what depends on u as an "
@@ -219,7 +220,7 @@ class TangentCheck:
             text = f"{failure.cause}: {NO_DERIVATIVE}: {self.findings[0].advice}"
             return replace(outcome, message=text)
         if system.forms.kinks:
-            text = f"{outcome.message}. {_kink(system)}"
+            text = f"{outcome.message}. If that does not help: {_kink(system)}"
             return replace(outcome, message=text)
         return outcome
 
