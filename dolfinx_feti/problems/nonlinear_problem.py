@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -201,66 +201,46 @@ class NonlinearProblem(TornProblem):
         """
         check_scalar_type()
         update = _checked_update(before_assembly, u)
-        for function in u if isinstance(u, Sequence) else [u]:
-            require_function(function)
-
-        if boundary is not None:
-            bounded = add_boundary(
-                boundary, F, u, bcs, J, condense=as_tuple(condense), energy=energy
-            )
-            F = bounded.F
-            J = bounded.J
-            energy = bounded.energy
-            bcs = bounded.bcs
-
-        # which unknown is torn, which are condensed, and which are scalars
-        blocks = arrange_nonlinear(F, u, J, as_tuple(condense))
-        users_unknown = blocks.u  # perhaps with a mixed element, which the next line rewrites
-        has_more = bool(blocks.equations or scalars or contacts)
-        blocks, energy, mixed = _rewrite_mixed_of_one(blocks, energy, has_more_unknowns=has_more)
-        self.unknown = blocks.u
-        V = blocks.u.function_space
-        comm = V.mesh.comm
-
-        # what acts on them
-        on_all(lambda: require_torn_space(V, blocks.F), comm)
-        conditions = on_all(
-            lambda: checked_conditions(V, bcs, fields=blocks.fields, mixed=mixed), comm
+        arranged = _arrange(
+            F,
+            u,
+            bcs,
+            J,
+            condense=as_tuple(condense),
+            energy=energy,
+            boundary=boundary,
+            scalars=scalars,
+            contacts=contacts,
+            contact_tolerance=contact_tolerance,
         )
-        couplings = [*blocks.equations, *coupled.check_couplings(scalars, conditions, V)]
-        self._contact_tolerance = contact_tolerance
-        self._contacts = Contacts(
-            on_all(lambda: checked_contacts(contacts, blocks.u, contact_tolerance), comm)
-        )
-
-        # forms on the unknown that is torn
+        blocks = arranged.blocks
         forms, full_energy = _derive_forms(
-            blocks,
-            energy,
-            couplings,
-            contacts=self._contacts.contacts,
+            arranged,
             degree=quadrature_degree,
+            volume_ratio=volume_ratio,
             updates_coefficients=update is not None,
         )
         check_kappa(kappa, has_incompressible_field=forms.compression is not None)
-        coupled.refuse_condensed_fields(couplings, blocks.fields, forms.residuals[1:])
         if update is None:  # else a pressure that is zero now may be set by before_assembly
             check_pressures(
                 blocks.F,
-                energy,
+                arranged.energy,
                 blocks.u,
                 blocks.fields,
                 internal_variables or {},
-                Compiler(comm, form_compiler_options, jit_options),
+                Compiler(blocks.u.function_space.mesh.comm, form_compiler_options, jit_options),
             )
-        forms = _with_volume_ratio(forms, volume_ratio, quadrature_degree)
+        self.u = u
+        self.unknown = blocks.u
+        self._contacts = arranged.contacts
+        self._contact_tolerance = contact_tolerance
 
         # torn matrix and system; PETSc's objects, which __del__ destroys if anything below raises
         super().__init__(
-            replace(forms, mixed=mixed),
-            conditions,
+            forms,
+            arranged.conditions,
             name="nonlinear_problem",
-            scalars=couplings,
+            scalars=arranged.couplings,
             before_assembly=update,
             options=ProblemOptions(
                 form_compiler_options=form_compiler_options,
@@ -276,7 +256,6 @@ class NonlinearProblem(TornProblem):
                 entity_maps=entity_maps,
             ),
         )
-        self.u = u
         self._volume_multipliers = create_volume_multipliers(
             self._system,
             kappa=kappa,
@@ -286,9 +265,11 @@ class NonlinearProblem(TornProblem):
         self._contacts.prepare(self._compiler)
 
         # what a path stores, and what is checked in accepted states
-        scalar_equations = [c for coupling in couplings for c in coupling.equation.equations]
+        scalar_equations = [
+            form for coupling in arranged.couplings for form in coupling.equation.equations
+        ]
         self.content = content_of(
-            (users_unknown, *blocks.fields, *self._contacts.multipliers),
+            (arranged.users_unknown, *blocks.fields, *self._contacts.multipliers),
             (*forms.residuals, full_energy, *scalar_equations),
         )
         self._internal_variables = create_internal_variables(
@@ -610,23 +591,86 @@ def _checked_update(
     return partial(before_assembly, u)
 
 
-def _derive_forms(
-    blocks: NonlinearBlocks,
-    energy: ufl.Form | None,
-    couplings: Sequence[Coupling],
+@dataclass(frozen=True, slots=True)
+class ArrangedProblem:
+    """The user's problem, checked, with each unknown and form in its place.
+
+    Attributes:
+        users_unknown: The unknown on the continuous space, as the user gave it.
+        blocks: Unknowns by what is done with them, and their forms, with those of a wall's
+            conditions; a mixed element of one is rewritten.
+        mixed: The user's unknown with a mixed element of one; None for other elements.
+        energy: Potential of the forms; None if there is none.
+        conditions: Dirichlet conditions.
+        couplings: Scalars with their equations.
+        contacts: Contacts.
+    """
+
+    users_unknown: dolfinx.fem.Function
+    blocks: NonlinearBlocks
+    mixed: MixedOfOne | None
+    energy: ufl.Form | None
+    conditions: Sequence[dolfinx.fem.DirichletBC]
+    couplings: Sequence[Coupling]
+    contacts: Contacts
+
+
+def _arrange(
+    F: ufl.Form | Sequence[ufl.Form],
+    u: dolfinx.fem.Function | Sequence[dolfinx.fem.Function],
+    bcs: Sequence[dolfinx.fem.DirichletBC] | None,
+    J: ufl.Form | Sequence[Sequence[ufl.Form | None]] | None,
     *,
+    condense: Sequence[dolfinx.fem.Function],
+    energy: ufl.Form | None,
+    boundary: Boundary | None,
+    scalars: Sequence[Coupling],
     contacts: Sequence[Contact],
+    contact_tolerance: float,
+) -> ArrangedProblem:
+    """Check and arrange the arguments of the same names of :class:`NonlinearProblem`. Collective.
+
+    Raises:
+        ValueError: Bad forms, boundary conditions, scalars or contacts.
+        TypeError: An unsupported element.
+    """
+    for function in u if isinstance(u, Sequence) else [u]:
+        require_function(function)
+    if boundary is not None:
+        complete = add_boundary(boundary, F, u, bcs, J, condense=condense, energy=energy)
+        F = complete.F
+        J = complete.J
+        energy = complete.energy
+        bcs = complete.bcs
+
+    # which unknown is torn, which are condensed, and which are scalars
+    given = arrange_nonlinear(F, u, J, condense)
+    has_more = bool(given.equations or scalars or contacts)
+    blocks, energy, mixed = _rewrite_mixed_of_one(given, energy, has_more_unknowns=has_more)
+    V = blocks.u.function_space
+    comm = V.mesh.comm
+    on_all(lambda: require_torn_space(V, blocks.F), comm)
+
+    # what acts on them
+    conditions = on_all(lambda: checked_conditions(V, bcs, fields=blocks.fields, mixed=mixed), comm)
+    couplings = [*blocks.equations, *coupled.check_couplings(scalars, conditions, V)]
+    checked = on_all(lambda: checked_contacts(contacts, blocks.u, contact_tolerance), comm)
+    return ArrangedProblem(given.u, blocks, mixed, energy, conditions, couplings, Contacts(checked))
+
+
+def _derive_forms(
+    arranged: ArrangedProblem,
+    *,
     degree: int | None,
+    volume_ratio: Expr | None,
     updates_coefficients: bool,
 ) -> tuple[Forms, ufl.Form | None]:
     """Derive the forms on the unknown that is torn.
 
     Args:
-        blocks: The user's forms and unknowns.
-        energy: The energy.
-        couplings: Scalars with their equations.
-        contacts: The contacts.
+        arranged: The user's problem.
         degree: The user's highest quadrature degree.
+        volume_ratio: The user's expression for det F, or None.
         updates_coefficients: Whether the problem has a ``before_assembly``.
 
     Returns:
@@ -637,22 +681,26 @@ def _derive_forms(
         ValueError: The forms do not fit each other, or the unknowns.
         TypeError: A field cannot be condensed.
     """
+    blocks = arranged.blocks
     forms = derive(
         blocks.F,
         blocks.u,
         J=blocks.J,
         condense=blocks.fields,
-        energy=energy,
+        energy=arranged.energy,
         degree=degree,
-        work=coupled.coupling_works(couplings),
+        work=coupled.coupling_works(arranged.couplings),
         updates_coefficients=updates_coefficients,
-        contacts=contacts,
+        contacts=arranged.contacts.contacts,
     )
-    if not couplings:
-        return forms, forms.energy
-    # The equations of scalars are no derivatives of an energy. ``derive`` has dropped it if scalars
-    # do work on u; it is of no use without such work, either.
-    return replace(forms, energy=None), forms.energy
+    coupled.refuse_condensed_fields(arranged.couplings, blocks.fields, forms.residuals[1:])
+    full_energy = forms.energy
+    if arranged.couplings:
+        # The equations of scalars are no derivatives of an energy. ``derive`` has dropped it if
+        # scalars do work on u; it is of no use without such work, either.
+        forms = replace(forms, energy=None)
+    forms = _with_volume_ratio(forms, volume_ratio, degree)
+    return replace(forms, mixed=arranged.mixed), full_energy
 
 
 def _create_cell_check(
