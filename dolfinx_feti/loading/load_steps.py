@@ -93,9 +93,10 @@ def follow_load(
         targets: Loads to be met exactly, one after the other. A target that differs from the load
             before it by rounding alone, as 3 * 0.1 from 0.3, takes no step.
         steps: How to choose the increments.
-        state: Functions that a solve changes in addition to u and condensed fields. Like these,
-            they are predicted by a parabola, restored after a failure, and written to the
-            checkpoint. Internal variables and last displacements of dashpots need not be listed.
+        state: Further Functions that a solve changes, such as one that ``before_assembly``
+            computes. They are predicted by a parabola, restored after a failure, and written to
+            the checkpoint, like those that the path finds in the problem and that need not be
+            listed: u, condensed fields, internal variables, last displacements of dashpots.
         start: The present load.
         unloading: Whether the load may turn back on its way through the targets.
         on_step: Called in each new equilibrium on all processes, for output; the order of events is

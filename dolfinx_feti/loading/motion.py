@@ -419,7 +419,7 @@ class Motion:
             (self.u.x.array - self._u_explicit) / (self._β * float(self.dt.value) ** 2)
         )
 
-    # -- former names, which still work ------------------------------------------------------------
+    # -- other names of the same members, for other programs; this package does not use them -------
 
     hold = set_to_last_state
     start = balance
@@ -432,17 +432,17 @@ class Motion:
 
     @property
     def filtered(self) -> dolfinx.fem.Function:
-        """Former name of ``algorithmic_acceleration``."""
+        """Another name of ``algorithmic_acceleration``."""
         return self.algorithmic_acceleration
 
     @property
     def changes(self) -> list[dolfinx.fem.Function]:
-        """Former name of ``histories``."""
+        """Another name of ``histories``."""
         return self.histories
 
     @property
     def numbers(self) -> list[dolfinx.fem.Constant]:
-        """Former name of ``constants``."""
+        """Another name of ``constants``."""
         return self.constants
 
 

@@ -75,7 +75,8 @@ def follow_time(
             called for times in the first step, for the initial velocity of Dirichlet dofs.
         targets: Times to be met exactly, ascending.
         steps: How to choose the lengths of the steps.
-        state: Functions that a solve changes in addition to u and condensed fields.
+        state: Further Functions that a solve changes; u, condensed fields, internal variables and
+            the Functions of the motion need not be listed.
         start: The present time.
         energy: Energy of the material, for the balance of each step, kinetic + stored +
             dissipated − work.

@@ -25,7 +25,7 @@ from dolfinx_feti.wall.conditions.boundary import Boundary
 
 
 @dataclass(frozen=True, slots=True)
-class BoundedForms:
+class FormsWithBoundary:
     """Arguments of ``NonlinearProblem`` that contain the conditions of a wall.
 
     Attributes:
@@ -50,7 +50,7 @@ def add_boundary(
     *,
     condense: Sequence[dolfinx.fem.Function],
     energy: ufl.Form | None,
-) -> BoundedForms:
+) -> FormsWithBoundary:
     """Return the arguments of a problem with the conditions of a wall added.
 
     Args:
@@ -89,7 +89,7 @@ def add_boundary(
     potential = None
     if energy is not None and boundary.energy is not None:
         potential = energy + boundary.energy
-    return BoundedForms(
+    return FormsWithBoundary(
         F=[residuals[0] + boundary.residual, *residuals[1:]],
         J=_added(J, boundary.tangent),
         energy=potential,

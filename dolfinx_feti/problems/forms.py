@@ -444,8 +444,8 @@ def linear_forms(
     for i, (row, load) in enumerate(zip(rows, loads, strict=True)):
         residual = ufl.Form([])
         for j, (form, f) in enumerate(zip(row, state, strict=True)):
-            is_zero = (i, j) == (0, 0)  # A u is left out, see the head of the file
-            if form is not None and not is_zero:
+            is_product_with_u = (i, j) == (0, 0)  # left out, see the head of the file
+            if form is not None and not is_product_with_u:
                 residual = residual + ufl.action(form, f)
         if load is not None:
             residual = residual - load

@@ -222,8 +222,8 @@ class NewtonSolve:
         iterate = self._first
         self._require_admissible_start()
         while True:
-            verdict = self._publish_and_test(iterate)  # is ‖r‖ small?
-            error = self._measure_error(iterate, verdict)  # is the error of U small?
+            verdict = self._publish_and_test(iterate)  # of ‖r‖
+            error = self._measure_error(iterate, verdict)  # of U
             if verdict.ends and not error.needs_step:
                 return self._end(verdict, error)
             self._require_steps_left()

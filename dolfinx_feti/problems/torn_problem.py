@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Self
@@ -69,7 +70,7 @@ class Balance(NamedTuple):
     is_deformed: bool  # True if forces act at deformed positions
 
 
-class TornProblem:
+class TornProblem(ABC):
     """A problem whose linear systems are torn.
 
     Attributes:
@@ -256,12 +257,9 @@ class TornProblem:
             compiler=self._compiler,
         )
 
+    @abstractmethod
     def _balance(self) -> Balance:
-        """Return the forces that reactions are computed from. Collective.
-
-        Each problem class defines it.
-        """
-        raise NotImplementedError
+        """Return the forces that reactions are computed from. Collective."""
 
     def create_linear_solver(
         self, petsc_options: Mapping[str, object] | None = None, *, lifted: bool = False

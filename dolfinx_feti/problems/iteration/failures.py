@@ -97,7 +97,7 @@ LINEAR_SOLVER = Failure(
     Reason.DIVERGED_LINEAR_SOLVE, "the linear solver failed", "{1}", LinearSolverError
 )
 
-#: All of them.
+#: All of them, for tests of their texts.
 FAILURES = (
     INVERTED_START,
     INDEFINITE_START,

@@ -34,7 +34,7 @@ Reason = PETSc.SNES.ConvergedReason
 
 #: Factor by which a step has to lower η for another one to follow. If rounding limits η, each step
 #: leaves about as much. It is a choice, not measured.
-GAIN = 0.5
+REQUIRED_REDUCTION = 0.5
 
 #: Estimated error that a linear solve may leave of ΔU: the next step removes it. Between 1e-4 and
 #: 1e-2 the iterations of tubes and beams hardly differ; with 1e-8 they are a fifth more. With a
@@ -93,7 +93,7 @@ class ErrorEstimate:
         """
         if self.lacks_scalar_solve:
             return True
-        return self.is_too_large and not self.eta > GAIN * self.eta_before
+        return self.is_too_large and not self.eta > REQUIRED_REDUCTION * self.eta_before
 
     def target(self, iterate: Iterate) -> float:
         """Return the ‖r‖ at which η is expected to meet its tolerance; NaN if η is unknown."""
