@@ -24,8 +24,8 @@ CLOSER_START = "begin closer to the solution, such as with that of another param
 
 #: The remedy {0} of most failures, for a displacement.
 SMALLER_LOAD_STEPS = (
-    "load in smaller steps (loading.follow_load halves them down to Steps(least=…)), and check the "
-    "units of the load"
+    "load in smaller steps (check the unit of the load; loading.follow_load halves steps down to "
+    "Steps(least=…))"
 )
 
 #: Appended to the message if a tangent was singular although there are contacts.
