@@ -261,7 +261,7 @@ def test_probe_passes_rounding_without_a_look_at_the_entries(monkeypatch):
     M.destroy()
 
 
-def test_columns_in_any_order(lifetime):
+def test_symmetry_is_detected_with_unsorted_columns(lifetime):
     """PETSc does not sort the columns of arrays that it uses without a copy."""
     rows = np.array([0, 2, 4], dtype=PETSc.IntType), np.array([1, 0, 0, 1], dtype=PETSc.IntType)
     csr = (*rows, np.ones(4))
