@@ -187,7 +187,7 @@ class BorderedSolver:
         else:
             first_X = self._elimination.X
             first_rtol = FIRST_RTOL
-        first_X = np.where(system.free[:, None], first_X, 0.0)
+        first_X = np.where(system.is_free[:, None], first_X, 0.0)
         return solve_for_columns(solver, system, y, first_X, first_rtol=first_rtol)
 
     def correction(self, ksp: PETSc.KSP, r: Array, c: Array) -> tuple[Array, Array] | None:

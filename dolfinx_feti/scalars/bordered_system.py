@@ -35,7 +35,7 @@ class BorderedSystem:
 
     Attributes:
         A: Torn matrix.
-        free: Mask of the dofs without a prescribed value, (N,).
+        is_free: Mask of the dofs without a prescribed value, (N,).
         b: First right-hand side, zero on Dirichlet dofs, (N,).
         border: B, with zeros on Dirichlet dofs, C and D.
         d: Second right-hand side, (m,).
@@ -45,7 +45,7 @@ class BorderedSystem:
     """
 
     A: PETSc.Mat
-    free: Mask
+    is_free: Mask
     b: Array
     border: Border
     d: Array
@@ -65,7 +65,7 @@ class BorderedSystem:
             for k in range(X.shape[1]):
                 x.array[:] = X[:, k]
                 self.A.mult(x, y)
-                Y[:, k] = np.where(self.free, y.array_r, 0.0)
+                Y[:, k] = np.where(self.is_free, y.array_r, 0.0)
         return Y
 
     def residual(self, x: Array, s: Array) -> tuple[Array, Array]:
@@ -98,12 +98,12 @@ def create_bordered_system(A: PETSc.Mat, b: Array, border: Border, d: Array) -> 
         d: Second right-hand side of the scalars without these forces, (m − k,).
     """
     comm = A.comm.tompi4py()
-    free = ~read_dirichlet_mask(A)
-    b = np.where(free, b, 0.0)
-    B = np.where(free[:, None], border.B, 0.0)
+    is_free = ~read_dirichlet_mask(A)
+    b = np.where(is_free, b, 0.0)
+    B = np.where(is_free[:, None], border.B, 0.0)
     return BorderedSystem(
         A=A,
-        free=free,
+        is_free=is_free,
         b=b,
         border=replace(border, B=B),
         d=border.with_springs(d),

@@ -30,22 +30,22 @@ ROUNDING_SHARE = 1e-10
 NAMED_ENTRY = 1e-3
 
 
-def require_independent(border: Border, free: Mask, comm: MPI.Comm) -> None:
+def require_independent(border: Border, is_free: Mask, comm: MPI.Comm) -> None:
     """Check that the equations, and the unknowns, depend on u and not on each other. Collective.
 
     Args:
         border: B, C and D of the scalars.
-        free: Mask of the dofs without Dirichlet condition, (N,).
+        is_free: Mask of the dofs without Dirichlet condition, (N,).
         comm: Communicator.
 
     Raises:
         ValueError: They do not; on all processes.
     """
-    _check_columns(border.C, border.D.T, free, "equations", comm)
-    _check_columns(border.B, border.D, free, "unknowns", comm)
+    _check_columns(border.C, border.D.T, is_free, "equations", comm)
+    _check_columns(border.B, border.D, is_free, "unknowns", comm)
 
 
-def _check_columns(columns: Array, corner: Array, free: Mask, name: str, comm: MPI.Comm) -> None:
+def _check_columns(columns: Array, corner: Array, is_free: Mask, name: str, comm: MPI.Comm) -> None:
     """Check that columns of a border are not zero on free dofs, and independent. Collective.
 
     Columns that are coupled to another scalar by D are not checked.
@@ -53,12 +53,12 @@ def _check_columns(columns: Array, corner: Array, free: Mask, name: str, comm: M
     Args:
         columns: B or C, (N, m).
         corner: D or Dᵀ, (m, m).
-        free: Mask of the dofs without Dirichlet condition, (N,).
+        is_free: Mask of the dofs without Dirichlet condition, (N,).
         name: Name of the columns in a message.
         comm: Communicator.
     """
     all_squares = total_of((columns**2).sum(axis=0), comm)
-    gram = total_of(columns[free].T @ columns[free], comm)
+    gram = total_of(columns[is_free].T @ columns[is_free], comm)
     size = np.sqrt(gram.diagonal())
     is_coupled = np.abs(corner).max(axis=0, initial=0.0) > 0.0  # with another scalar
     is_zero = size <= ROUNDING_SHARE * np.sqrt(all_squares)

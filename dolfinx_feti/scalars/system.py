@@ -54,7 +54,7 @@ class ScalarSystem:
         residual: ufl.Form,
         compiler: Compiler,
         *,
-        free: Mask,
+        is_free: Mask,
     ) -> None:
         """Compile the forms. Collective.
 
@@ -63,7 +63,7 @@ class ScalarSystem:
             u: The unknown field.
             residual: r(u, s; v), with the work of the scalars.
             compiler: Compiler of forms.
-            free: Mask of the dofs without Dirichlet condition, (N,).
+            is_free: Mask of the dofs without Dirichlet condition, (N,).
         """
         self._couplings = couplings
         self._comm = compiler.comm
@@ -77,21 +77,21 @@ class ScalarSystem:
         if self._c:
             self._border_forms = BorderForms(self._equations, components, u, residual, compiler)
         self.size = len(self._c)
-        self.border = Border.zero(len(free), self.size)
-        self._free = free
+        self.border = Border.zero(len(is_free), self.size)
+        self._is_free = is_free
         self._are_independent = False  # until that has been checked
         self._solver = BorderedSolver()
 
-    def prescribe(self, bcs: Sequence[dolfinx.fem.DirichletBC], *, free: Mask) -> None:
+    def prescribe(self, bcs: Sequence[dolfinx.fem.DirichletBC], *, is_free: Mask) -> None:
         """Change the Dirichlet conditions. Collective.
 
         Args:
             bcs: The new conditions.
-            free: Mask of the dofs without them, (N,).
+            is_free: Mask of the dofs without them, (N,).
         """
         for coupling in self._couplings:
             coupling.check(bcs)
-        self._free = free
+        self._is_free = is_free
         self._are_independent = False  # until that has been checked for these conditions
         self._solver = BorderedSolver()  # the last one has springs for the other conditions
 
@@ -115,7 +115,7 @@ class ScalarSystem:
     def linearise(self) -> None:
         """Assemble the border at the present state. Collective."""
         if self._border_forms is not None:
-            self.border = self._border_forms.assemble(len(self._free))
+            self.border = self._border_forms.assemble(len(self._is_free))
 
     def solve(self, ksp: PETSc.KSP, A: PETSc.Mat, r: Array, c: Array) -> tuple[Array, Array]:
         """Solve for Δu and Δs with the present border. Collective.
@@ -224,5 +224,5 @@ class ScalarSystem:
             on_all(coupling.check_values, self._comm)
         if self.size and not self._are_independent:
             self.linearise()
-            require_independent(self.border, self._free, self._comm)
+            require_independent(self.border, self._is_free, self._comm)
             self._are_independent = True

@@ -129,7 +129,7 @@ class System:
         if forms.scalar_forms is not None:
             u_of_scalars, residual_with_scalars = forms.scalar_forms
         self.scalars = ScalarSystem(
-            scalars, u_of_scalars, residual_with_scalars, compiler, free=~self.conditions.mask
+            scalars, u_of_scalars, residual_with_scalars, compiler, is_free=~self.conditions.mask
         )
         self.state = State(
             forms.u,
@@ -153,7 +153,7 @@ class System:
             ValueError: They leave a scalar unknown without a solution.
         """
         conditions = DirichletConditions(bcs, self.forms.u, self.forms.mixed)
-        self.scalars.prescribe(bcs, free=~conditions.mask)
+        self.scalars.prescribe(bcs, is_free=~conditions.mask)
         self.conditions = conditions
         self.tangent.prescribe(conditions.mask)
 
