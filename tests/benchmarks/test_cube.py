@@ -68,7 +68,7 @@ def test_error_converges_to_the_fundamental_solution(degree, levels, study_of):
 
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 def test_records_say_what_the_hand_torn_cube_says(kind, study_of, create_ksp):
-    """Two codes that share the solver alone agree on counts and on the condition number."""
+    """Counts and condition numbers agree with a cube torn by NumPy; only the solver is shared."""
     cases = (Case(subdomains_per_edge=3, type=kind, pc=pc) for pc in cube.PRECONDITIONERS)
     records = study_of(*cases)
     agree(len(records) == 3)
@@ -146,7 +146,7 @@ def test_growth_is_fitted_to_the_square_of_a_logarithm():
 
 
 def test_cube_of_fewer_subdomains_than_processes_is_left(study_of):
-    """Each case is run once; its coarse set-up is a part of the set-up."""
+    """A case with fewer subdomains than processes is left out, and each other case runs once."""
     cases = [replace(SMALL, level=level) for level in (1, 2)]
     cases_of_file = [*cases, cases[0]]
     if COMM.size > 1:

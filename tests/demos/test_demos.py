@@ -140,7 +140,7 @@ def test_demos_need_the_installed_package_alone(name):
 @pytest.mark.processes(2)
 @pytest.mark.parametrize("name", sorted(DEMO_PICTURES.keys() - LONG))
 def test_demos_without_a_command_line(run, monkeypatch, tmp_path, name):
-    """Each has assertions of its own; the first process draws its picture.
+    """The assertions in each demo hold, and the first process draws its picture.
 
     On one process ``make docs`` runs them.
     """

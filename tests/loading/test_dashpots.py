@@ -131,7 +131,7 @@ def test_last_displacement_of_a_sum_that_moves():
 
 @pytest.mark.parametrize("rtol", [None, 1e-2], ids=["exact", "rough"])
 def test_restart_with_the_dashpot_of_a_sum(tmp_path: Path, rtol: float | None):
-    """It goes the way of one run, also where the step to its first target is taken again."""
+    """A restarted path ends in the state of one run, also if its first step is repeated."""
     steps = Steps(first=0.25, least=0.1, growth=1.0, rtol=rtol)
 
     def follow(name: str, targets: list[float], *, restart=False, until=np.inf) -> np.ndarray:

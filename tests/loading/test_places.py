@@ -78,7 +78,7 @@ def test_a_path_that_begins_at_its_first_target(create_fake_problem):
 
 
 def test_a_target_that_was_met_before_a_restart(create_fake_problem, tmp_path):
-    """It is recognised although it differs by rounding."""
+    """A target is recognised although it differs from the reached load by rounding."""
     first = create_fake_problem()
     first.follow([0.3], STEPS, checkpoint=Checkpoint(tmp_path, COMM))
     second = create_fake_problem()

@@ -105,7 +105,7 @@ def test_bar_goes_when_the_way_ends(create_fake_problem, terminal):
 
 
 def test_one_monitor_however_many_loads(create_fake_problem, terminal):
-    """The user's monitor stays; each load has a bar of its own."""
+    """The user's monitor is kept, and each load gets a separate progress bar."""
     problem = create_fake_problem()
     seen = []
     problem.solver.setMonitor(lambda snes, its, norm: seen.append(its))

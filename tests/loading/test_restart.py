@@ -277,7 +277,7 @@ class AlternatingSteps(Steps):
 
 
 def test_a_record_of_another_step_length_rule(tmp_path):
-    """It lacks what the rule remembers: nothing is touched. A rule reads a record of its own."""
+    """A rule refuses a record without its state, and changes nothing; it reads its own records."""
     Pulled().follow([0.5], Checkpoint(tmp_path / "usual", COMM))
     steps = AlternatingSteps(first=0.5, least=0.1)
     body = Pulled()

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A part of the study of verification, which has cases and fields of its own."""
+"""Parts of the verification study: each has its own cases, records and sections of the page."""
 
 from __future__ import annotations
 
