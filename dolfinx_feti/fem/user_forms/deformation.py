@@ -119,7 +119,7 @@ class GradientFactor:
         self._values: list[bytes] | None = None  # of the Constants when s was computed
         self._factor = 1.0
 
-    def present(self) -> float:
+    def value(self) -> float:
         """Return s with the present values of the Constants; the largest one of several F."""
         values = [constant.value.tobytes() for constant in self._constants]
         if values != self._values:

@@ -68,4 +68,4 @@ class DeformationGradient:
         and c may have changed.
         """
         h = cell_sizes(self._space)
-        return np.asarray(h / self._factor.present())
+        return np.asarray(h / self._factor.value())
