@@ -290,7 +290,7 @@ def refused(run, capsys, match, *arguments, demo="demo_case.py"):
         run(demo, *arguments)
     except SystemExit as end:
         status = end.code
-    agree(status == 2, status)
+    agree(status == 2)
     said = capsys.readouterr().err.splitlines()
     lines = [f"^{demo}: error: .*{match}"] if COMM.rank == 0 else []
     agree(len(said) == len(lines) and all(map(re.search, lines, said)), said)

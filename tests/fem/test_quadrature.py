@@ -96,7 +96,7 @@ def test_each_part_of_the_domain_has_its_own():
         for i in matched.integrals()
     }
     high = estimated_quadrature_degree(ufl.derivative(density(u) * ufl.dx, u, v))
-    agree(high > 4, high)
+    agree(high > 4)
     expected = {("cell", k): high for k in (1, 2, 3)}
     expected |= {("cell", "everywhere"): 4, ("exterior_facet", "everywhere"): 2}
     agree(degrees == expected, degrees)
@@ -112,7 +112,7 @@ def test_a_bound_holds_on_curved_cells(cell, kind):
     u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2)))
     for energy in (u**2, ufl.inner(ufl.grad(u), ufl.grad(u)), ufl.exp(u)):
         limited = limit_quadrature_degree(energy * ufl.dx, kind(4))
-        agree(highest(limited) <= 4, highest(limited))
+        agree(highest(limited) <= 4)
     agree(highest(u * ufl.dx(degree=kind(7))) == 7)
     agree(highest(limit_quadrature_degree(u * ufl.dx(degree=kind(7)), 4)) == 7)
     agree(highest(limit_quadrature_degree(ufl.exp(u) * ufl.dx(degree=kind(-1)), 4)) == 4)

@@ -73,7 +73,7 @@ def shown(terminal: Terminal) -> list[str]:
 def test_nothing_is_shown_where_there_is_no_terminal(create_fake_problem, open_terminal):
     screen = open_terminal(there=False)
     create_fake_problem().follow([1.0], Steps(first=0.1, least=0.1))
-    agree(screen.getvalue() == "", screen.getvalue())
+    agree(screen.getvalue() == "")
 
 
 def test_bar_on_the_first_process(create_fake_problem, terminal):
@@ -112,7 +112,7 @@ def test_one_monitor_however_many_loads(create_fake_problem, terminal):
     for load in (1.0, 2.0, 3.0):
         problem.follow([load], Steps(first=1.0, least=1.0))
     agree(len(problem.solver.getMonitor()) == 2)
-    agree(seen == [0, 0, 0], seen)
+    agree(seen == [0, 0, 0])
     loads = ["0 → 1 of 1", "1 → 2 of 2", "2 → 3 of 3"] if COMM.rank == 0 else []
     agree(all(any(load in line for line in shown(terminal)) for load in loads), shown(terminal))
 

@@ -287,4 +287,4 @@ def test_a_record_of_another_step_length_rule(tmp_path):
     agree(not body.u.x.array.any() and body.load.value == 0.0)
     Pulled().follow([0.5], Checkpoint(tmp_path / "own", COMM), steps)
     again = Pulled().follow([0.5, 1.0], Checkpoint(tmp_path / "own", COMM, restart=True), steps)
-    agree([step.load for step in again] == [0.5, 0.75, 1.0], [step.load for step in again])
+    agree([step.load for step in again] == [0.5, 0.75, 1.0])

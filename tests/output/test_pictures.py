@@ -83,7 +83,7 @@ def test_colours_of_panels_with_one_label_are_those_of_one_scale(beam, tmp_path)
         return ranges["|u|"][1], doubled.surface.values.max()
 
     end, largest = on_first(look)
-    agree(0.9 * largest < end <= largest, end)
+    agree(0.9 * largest < end <= largest)
     pictures.draw(tmp_path / "limits.png", panel, limits=(0.0, 1.0), colours="plasma")
 
 
@@ -105,7 +105,7 @@ def test_fibres_follow_the_layer(tmp_path):
     found = on_first(look)
     agree(len(found) == 2)
     for off, length in found:
-        agree(off < 0.03, off)
+        agree(off < 0.03)
         small(length / (3 * LENGTH) - 1.0, 0.1)
     pictures.draw(tmp_path / "fibres.png", panel)
     many = pictures.fibres(wall, [*families, *families], "media")

@@ -95,7 +95,7 @@ class Scalar:
         pc.setType(PETSc.PC.Type.LU)
         pc.setFactorSolverType("mumps")
         snes.solve(None, x)
-        agree(snes.getConvergedReason() > 0, snes.getConvergedReason())
+        agree(snes.getConvergedReason() > 0)
         steps = snes.getIterationNumber()
         solution = x.array.copy()
         for made in (snes, A, x, r):

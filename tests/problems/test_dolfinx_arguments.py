@@ -189,7 +189,7 @@ def test_subclass_that_hands_its_keywords_on(rubber):
 
     problem = Adapted(rubber.F, rubber.u, bcs=rubber.bcs, J=rubber.J)
     problem.solve()
-    agree(problem.solver.getConvergedReason() > 0, problem.solver.getConvergedReason())
+    agree(problem.solver.getConvergedReason() > 0)
 
 
 # -- attributes

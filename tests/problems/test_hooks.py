@@ -51,7 +51,7 @@ def test_update_is_called_before_each_step():
     problem.solver.setUpdate(update, ("word",), {"factor": 2.0})
     problem.solve()
     steps = len(problem.history)
-    agree(steps > 2, steps)
+    agree(steps > 2)
     agree(calls == [(i, i, "word", 2.0) for i in range(steps)], calls)
     problem.solver.setUpdate(None)
     problem.u.x.array[:] = 1.0
