@@ -37,13 +37,17 @@ MAX_DOFS_FOR_SVD = 600
 #: of 1000 to 4000 dofs with 6, 12 and 24 null vectors have the same ones with 1e-11 to 1e-7.
 SHIFT = 1e-9
 
-#: Vectors with which inverse iteration begins. Their number is doubled until they contain more than
-#: the null space. A single cell of P2–P0 has three null vectors. The same lattices have the same
-#: null vectors with 4, 8 and 16, in times that differ by less than 30 %. If more than
-#: eight singular values are below SHIFT, and some of them are not null, the eight vectors are
-#: mixtures, and null vectors are missed: 3 of 8 if springs of 1e-6 to 1e-10 times the stiffness
-#: join two lattices. Sixteen vectors find all.
+#: Vectors with which inverse iteration begins. Their number is doubled until they contain a mode
+#: that is clearly not null (SEPARATION). A single cell of P2–P0 has three null vectors. The same
+#: lattices have the same null vectors with 4, 8 and 16, in times that differ by less than 30 %.
 FIRST_VECTORS = 8
+
+#: Ratio of the largest singular value among the vectors to SHIFT, and to that of a null vector,
+#: from which the null space is complete. Vectors whose singular values are all below SHIFT are
+#: mixtures of null vectors and soft modes, which STEPS do not separate: with eight vectors, 3 of 8
+#: null vectors were missed where springs of 1e-10 to 1e-6 times the stiffness join two lattices.
+#: With ten, a step multiplies what is not among the vectors by 1/11 or less.
+SEPARATION = 10.0
 
 #: Steps of inverse iteration. Each multiplies the share of a vector with the singular value σ by
 #: SHIFT / (SHIFT + σ): five leave 1e-15 of a mode with σ = 1e-6. The same lattices have the same
@@ -136,9 +140,8 @@ def _smallest_singular_vectors(
 ) -> tuple[Array, Array]:
     """Approximate the smallest singular values and right singular vectors by inverse iteration.
 
-    The iteration is repeated with twice as many vectors if all values are those of null vectors. If
-    one is larger, the null space is complete, unless too many values are below SHIFT
-    (:data:`FIRST_VECTORS`).
+    The iteration is repeated with twice as many vectors until one of the values is that of a mode
+    which is clearly not null. Then the null space is complete.
 
     Args:
         multiply: Applies the matrix to columns, (n_i, r) → (n_i, r).
@@ -150,12 +153,13 @@ def _smallest_singular_vectors(
         Values, (r,), and vectors, (n_i, r).
     """
     count = FIRST_VECTORS
+    clearly_not_null = SEPARATION * max(SHIFT, max_null_value)
     while True:
         X = np.random.default_rng(n).standard_normal((n, min(n, count)))
         for _ in range(STEPS):
             X = np.linalg.qr(solve(X))[0]
         values, Y = _singular_vectors(multiply(X))
-        if count >= n or np.any(values > max_null_value):
+        if count >= n or np.any(values > clearly_not_null):
             return values, X @ Y
         count *= 2
 

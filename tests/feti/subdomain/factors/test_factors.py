@@ -355,6 +355,25 @@ def test_soft_and_buckling_modes_are_not_null_vectors(kind, softest, null_vector
     agree(not is_singular)
 
 
+@every_kind
+@pytest.mark.parametrize("soft", [1e-11, 1e-10, 1e-9])
+@pytest.mark.parametrize(("nullity", "soft_modes"), [(4, 6), (8, 8), (1, 20)])
+def test_null_vectors_are_told_from_many_soft_modes(
+    nullity, soft_modes, soft, kind, null_vectors, monkeypatch
+):
+    """Inverse iteration finds them alone, and all, beside any number of soft modes."""
+    monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", 10)
+    n = 80
+    Q = np.linalg.qr(np.random.default_rng(SEED).standard_normal((n, n)))[0]
+    values = np.ones(n)
+    values[:nullity] = 0.0
+    values[nullity : nullity + soft_modes] = soft
+    Y, _ = null_vectors((Q * values) @ Q.T, kind)
+    agree(Y.shape == (n, nullity))
+    null = Q[:, :nullity]
+    small(np.linalg.norm(Y - null @ (null.T @ Y)), 1e-3 * np.linalg.norm(Y))
+
+
 def test_null_vectors_of_an_unsymmetric_matrix_are_the_right_ones():
     """K Y = 0, not Yᵀ K = 0."""
     rng = np.random.default_rng(SEED)
