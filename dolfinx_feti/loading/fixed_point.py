@@ -58,7 +58,7 @@ class FixedPoint(ABC):
         self.history: list[NewtonStep] = []
         self.n_updates = 0
         self._first_tangent: TangentId | None = None  # of the next inner solve
-        self._renews = True  # does the next inner solve discard the preconditioner?
+        self._renews = True  # whether the next inner solve discards the preconditioner
 
     # -- the interface of the inner problem --------------------------------------------------------
 

@@ -144,6 +144,9 @@ class GrowthAfterQuickSteps(StepLengthRule[LoadStep]):
 class ErrorControl(StepLengthRule[TimeStep]):
     """Time steps whose estimated error is about the tolerance; see the head of the file.
 
+    A step with a larger error than ``TimeSteps.tolerance`` is repeated by ``follow_time``, whatever
+    the rule (``time_steps``).
+
     Attributes:
         longest: The longest length [s].
         growth: Largest factor from one step to the next.

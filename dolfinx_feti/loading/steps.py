@@ -40,6 +40,10 @@ class LengthSettings:
         require_within(1.0, math.inf, {"growth": self.growth}, remedy="a number of 1 or more")
 
 
+# The classes below call ``LengthSettings.__post_init__`` by its name: ``super()`` without arguments
+# fails in a dataclass with slots, because the decorator replaces the class.
+
+
 @dataclass(frozen=True, slots=True)
 class Steps(LengthSettings):
     """How to choose the increments of the load; they grow after a quick step.

@@ -33,7 +33,9 @@ class NewtonStep:
     #: proof, or if only shifted tangents were factored.
     indefinite: int | None
     shift: float  #: σ of the tangent K' + σ diag|k| that ΔU solves; zero for the true one.
-    solves: int  #: Linear solves; those before the last one failed, or led uphill.
+    #: Linear solves; those before the last one failed, or led uphill. Solves that were refused
+    #: because the tangent is indefinite do not count.
+    solves: int
     seconds_assembly: float  #: Time for residual, tangent and the line search before it [s].
     seconds_linear: float  #: Time for factors and Krylov method [s].
     linear_rtol: float = math.nan  #: Tolerance of ``linear_residual``.

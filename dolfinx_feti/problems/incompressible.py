@@ -101,9 +101,10 @@ def multiplier_tolerance(
 def make_fields_solvable(
     system: System, kappa: float | None, tolerance: float | None
 ) -> list[float] | None:
-    """Set the modulus of incompressible fields in the forms, if there are any, and log it.
+    """Choose the modulus of incompressible fields, set it in the forms, and log it. Collective.
 
-    The tangent of the present state is assembled into the matrix for it. Collective.
+    Nothing happens if no field is incompressible. Else the matrix holds the tangent of the present
+    state afterwards.
 
     Args:
         system: The equations, at the state where the first solve begins.

@@ -146,7 +146,8 @@ class StepPlan:
         target: ‖r‖ that the steps aim at.
         floor: ‖r‖ that is rounding.
         reuses_tangent: Whether the matrix holds the tangent of the step before.
-        linear_error: Estimated error that the linear solves may leave of ΔU.
+        linear_error: Bounds of the estimated error of ΔU that are small enough for the linear
+            solves.
     """
 
     target: float
@@ -347,7 +348,7 @@ class NewtonSolve:
         return iterate.norm <= (floor if self.history else diagonal_rounding(self._system))
 
     def _check_tangent(self, iterate: Iterate, *, is_new: bool) -> None:
-        """Compare a new tangent with the derivative, if the last steps call for it.
+        """Compare a new tangent with the derivative after slow or suspect steps.
 
         Raises:
             NewtonFailure: J was found to have the wrong sign.
@@ -357,19 +358,23 @@ class NewtonSolve:
         self._tangent_check.require_right_sign(self.history)
 
     def _step(self, iterate: Iterate, plan: StepPlan) -> Iterate:
-        """Compute the next iterate, with a larger shift if no step length is admissible.
+        """Compute the next iterate. If no step length is admissible, try a larger shift.
 
-        The state, and with it the iterate, stays the same in two cases. If r is rounding, the next
-        iteration ends there. If the tangent was reused, the next iteration assembles a new one:
-        only a whole step is followed by one with its tangent (``tangent_reuse``).
+        In two cases no larger shift is tried, and the iterate stays the same. If r is rounding, the
+        next iteration ends there. If the tangent was reused, the next iteration assembles a new
+        one: only a whole step is followed by one with its tangent (``tangent_reuse``).
 
         Args:
             iterate: Where the step begins.
             plan: How it is taken.
 
+        Returns:
+            The iterate at the end of the step, or the given one in these two cases.
+
         Raises:
             NewtonFailure: No direction has a step length.
         """
+        # the given iterate, with the residual that the linear system has, and Π once it is known
         origin = iterate
         if plan.reuses_tangent:
             residual = self._system.residual_of_last_tangent(iterate.residual)
@@ -504,7 +509,7 @@ class NewtonSolve:
 
 
 class Stopwatch:
-    """Measures the time between laps."""
+    """Measures the time between laps; the first lap begins at its creation."""
 
     def __init__(self) -> None:
         self._last = time.perf_counter()

@@ -145,7 +145,7 @@ class TornTangent:
         """Attach the null space of the tangent to A again."""
         if self._detached_null_space is not None:
             self.A.setNullSpace(self._detached_null_space)
-            self._detached_null_space.destroy()
+            self._detached_null_space.destroy()  # this reference to it; A has one of its own
             self._detached_null_space = None
 
     def _detach_null_space(self) -> None:

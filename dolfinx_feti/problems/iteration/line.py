@@ -30,7 +30,7 @@ class Trial:
 
     alpha: float
     residual: Residual  # that at α = 0 if a cell is inside out
-    ratio: float = np.nan  # g(α)/g_0; nan if a cell is inside out, 0 if g_0 = 0
+    ratio: float = np.nan  # g(α)/g_0; nan if a cell is inside out or a force is, 0 if g_0 = 0
     is_accepted: bool = False
     potential: float = np.nan  # Π; nan if it was not evaluated
 

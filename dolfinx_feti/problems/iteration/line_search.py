@@ -10,7 +10,8 @@ u − g of Dirichlet dofs to forces, and they do not evaluate Π.
 A further line search is a class in this file with the two methods of :class:`LineSearch`, and an
 entry in ``SPECIAL_SEARCHES``. It moves the state along a :class:`Line` by any criterion. It may
 accept trials by ``step_test``, or ignore that and set ``Trial.is_accepted`` itself. If its first
-trial is not accepted, it can pass that trial to :func:`shortened`.
+trial is not accepted, it can pass that trial to :func:`shortened`. It must not end in a trial whose
+ratio is NaN.
 """
 
 from __future__ import annotations
@@ -70,12 +71,13 @@ class LineSearch(Protocol):
             The trial where the state is: the last one of ``line.move``, passed through
             ``test.judge`` or not; that of ``line.stay`` if no step length is admissible. A step
             with α > 0 is taken even if its trial is not accepted. It then counts as an overshoot,
-            if the body is in contact (``overshoots``).
+            if the body is in contact (``overshoots``). A trial whose ratio is NaN must not be
+            returned: if a cell is inside out, its residual is not that of its state.
         """
 
 
 class Shortening:
-    """The longest accepted step of at most one, by bisection and secants."""
+    """The whole step, shortened by bisection and secants until it is accepted."""
 
     def serves(self, line: Line) -> bool:
         """Return True: it serves all directions."""
@@ -102,7 +104,7 @@ class WholeStep:
 
 
 class Lengthening:
-    """A step that a shift may have made too short: doubled while Π falls steeply."""
+    """A step that a shift may have made too short: doubled while g has hardly changed."""
 
     def serves(self, line: Line) -> bool:
         """Return True if the direction has a shift."""

@@ -120,7 +120,8 @@ class ShiftedDirections:
     def directions(self, iterate: Iterate, *, is_first: bool) -> Iterator[Direction]:
         """Yield one direction after the other, in the order of :meth:`_attempts`.
 
-        Another one is computed only if the last has no step length.
+        The caller asks for another one only if the last has no step length. Each direction sets the
+        level where the next step begins; that of the last one counts.
 
         Args:
             iterate: Where the step begins; the matrix holds its tangent.
@@ -142,7 +143,7 @@ class ShiftedDirections:
             if outcome is LinearOutcome.INDEFINITE:
                 if refuses_indefinite:
                     raise NewtonFailure(INDEFINITE_START)
-                continue  # its iterations, if any, are not counted
+                continue  # not recorded as a solve: mostly it ends before any iteration
             iterations.append(self._feti.iterations)
             if outcome is LinearOutcome.USABLE:
                 self._choose_next_level(attempt)

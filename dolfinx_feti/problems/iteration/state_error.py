@@ -66,7 +66,7 @@ class ErrorEstimate:
         eta: η; NaN if it was not measured.
         eta_before: η of the iterate before; NaN if that was not measured.
         lacks_scalar_solve: Whether η could not be measured because no linear solve with scalars
-            came before.
+            came before, which sets up the border of the scalars.
     """
 
     rtol: float
@@ -159,7 +159,7 @@ class StateError:
         )
 
     def of_linear_solve(self, estimate: ErrorEstimate) -> ErrorAllowance:
-        """Return the estimated error that the next linear solve may leave of ΔU.
+        """Return bounds of the estimated error of ΔU, within which the next linear solve may end.
 
         Args:
             estimate: The error of the iterate where the step begins.

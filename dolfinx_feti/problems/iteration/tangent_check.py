@@ -138,9 +138,10 @@ class TangentCheck:
         """Create the check of a system, for all its solves."""
         self.findings: list[Finding] = []
         self._system = system
-        self._is_sign_checked = False  # True once J was compared after a suspect step
-        self._last_du: Array = np.zeros(system.owned)  # of this solve
-        self._has_suspect_step = False  # in this solve, and J was not compared since
+        self._is_sign_checked = False  # True once J was compared after a suspect step of any solve
+        # of the present solve, set back by ``begin``
+        self._last_du: Array = np.zeros(system.owned)
+        self._has_suspect_step = False  # since the last comparison
         self._is_slow_checked = False  # True once J was compared after slow steps
 
     def begin(self) -> None:
@@ -182,7 +183,7 @@ class TangentCheck:
         """Raise an error after a step if J has the wrong sign: no further step can help.
 
         Raises:
-            NewtonFailure: It has.
+            NewtonFailure: J has the wrong sign; :meth:`explain` adds that to its message.
         """
         if history and self.has_wrong_sign:
             raise NewtonFailure(NO_STEP_LENGTH)
@@ -207,7 +208,7 @@ class TangentCheck:
         if not self._is_done and (is_not_closer or has_no_direction):
             system.linearise()
             residual = system.residual()
-            if not history:
+            if not history:  # no step was taken: compare along the direction of steepest descent
                 self._last_du = system.tangent.divide_by_diagonal(residual.condensed)
             self._compare(residual)
         if self.has_wrong_sign:

@@ -174,6 +174,7 @@ def _equations(
     Raises:
         ValueError: A condensed field and a scalar occur in one block.
     """
+    # by the numbers of the unknowns: the Constants of the scalars; all that their equations contain
     scalars = {i: constant_of(w) for i, w in enumerate(unknowns) if i not in order}
     known = {order[0]: unknowns[order[0]], **scalars}
     equations = []
