@@ -10,7 +10,10 @@ linearised residual,
 .. math:: γ = \arg\min \|F - Δ\mathcal F\, γ\|, \qquad
     U ← U + F - (Δ\mathcal U + Δ\mathcal F)\, γ
 
-(H. F. Walker and P. Ni, SIAM Journal on Numerical Analysis 49, 2011, formula 2.2 with β = 1).
+(H. F. Walker and P. Ni, SIAM Journal on Numerical Analysis 49, 2011, formula 2.2 with β = 1). The
+normal equations are solved: of the distributed vectors they need scalar products only. They are
+scaled to a unit diagonal first, because the differences shrink by orders of magnitude as the
+iteration converges.
 """
 
 from __future__ import annotations
@@ -24,9 +27,9 @@ from dolfinx_feti.runtime.arrays import Array
 #: Number of differences that are combined. A memory bound: two vectors for each.
 DEPTH = 20
 
-#: Largest eigenvalue of the normal equations, relative to the largest of all, that counts as
-#: rounding. Eigenvalues are squares of singular values of Δ𝓕: differences that depend on others to
-#: 1e-6 are dropped.
+#: Largest eigenvalue of the scaled normal equations, relative to the largest of all, that counts as
+#: rounding. Eigenvalues are squares of singular values of Δ𝓕 with unit columns: differences that
+#: depend on others to 1e-6 are dropped.
 EIGENVALUE_RTOL = 1e-12
 
 
@@ -52,7 +55,7 @@ class Anderson:
             U: The last iterate, (n,), ghosts included.
             F: Its residual g(U) − U, (n,).
         """
-        self._iterates = [*self._iterates[-DEPTH:], (U.copy(), F.copy())]
+        self._iterates = [*self._iterates[-DEPTH:], (U.copy(), F.copy())]  # DEPTH differences
         changes_of_U, changes_of_F = (
             np.diff(vectors, axis=0) for vectors in zip(*self._iterates, strict=True)
         )

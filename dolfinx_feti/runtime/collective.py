@@ -194,8 +194,8 @@ def warn(text: str, comm: MPI.Comm) -> None:
         logger.warning(text)
 
 
-#: Another name of :func:`on_root`, for programs that import it. This package does not use it.
+#: Earlier name of :func:`on_root`, kept for programs that import it; not used in this package.
 on_first = on_root
 
-#: Another name of :func:`error_message`, for the same reason.
+#: Earlier name of :func:`error_message`, likewise.
 reason = error_message

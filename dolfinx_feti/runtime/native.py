@@ -168,6 +168,7 @@ def processor_flags() -> list[str]:
         return []
     if platform.machine() not in MACHINES:
         return []
+    # x86 has lines "model", "model name" and "flags", ARM has "CPU part", others, and "Features".
     description = re.findall("^(?:model|CPU|flags|Feat).*", first, flags=re.MULTILINE)
     return ["-march=native", f"-DPROCESSOR_{_hash(description)[:8]}"]
 
@@ -300,6 +301,7 @@ def _compile(file: str, text: str, unit: _Unit) -> Path:
     builder.cdef(unit.declarations)
     builder.set_source(name, text, extra_compile_args=list(unit.flags))
     what = name.rpartition("_")[0] + ".c"
+    # cffi and setuptools print the commands of the compiler.
     with work, contextlib.redirect_stdout(io.StringIO()), logged_if_slow(what, folder):
         return Path(builder.compile(tmpdir=work.name)).replace(folder / file)
 

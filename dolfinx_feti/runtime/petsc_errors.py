@@ -28,7 +28,8 @@ from contextlib import contextmanager
 
 from petsc4py import PETSc
 
-#: Attribute of a PETSc solver: whether a call of the solver has paused the collector.
+#: Attribute of a PETSc solver: True while a call of the solver keeps the collector paused. PETSc
+#: calls Python without arguments of ours, and the solver is the only object that both sides have.
 PAUSED = "dolfinx_feti_collector_paused"
 
 

@@ -49,7 +49,7 @@ def withheld(keys: Iterable[str]) -> AbstractContextManager[None]:
 
 def mark_as_read(prefix: str, name: str) -> None:
     """Mark an option as read if it is set: :func:`unread_options` then omits it."""
-    PETSc.Options(prefix).hasName(name)
+    PETSc.Options(prefix).hasName(name)  # PETSc marks what it looks up
 
 
 def unread_options(prefix: str) -> dict[str, str]:

@@ -252,7 +252,7 @@ def version_of(A: PETSc.Mat) -> MatrixVersion:
     for part in (A, K, *vectors, *modes):
         values += [part.handle, part.stateGet()]
 
-    objects = (copy(A), K, *maps, *modes, *spaces, *vectors)
+    objects = (copy(A), K, *maps, *modes, *spaces, *vectors)  # copy(A) is another reference
     return MatrixVersion(tuple(pattern), tuple(values), objects)
 
 
@@ -327,8 +327,9 @@ class Torn:
     def with_local_matrix(self, K: PETSc.Mat) -> Torn:
         """Return a torn matrix in which another local matrix replaces K. Collective.
 
-        It shares all else with this object, such as the star forest, and must not be used after
-        :meth:`destroy` of this object. Its own :meth:`destroy` frees nothing.
+        ``graph`` and ``subdomains`` are read from the new matrix. All else, such as the star forest
+        and the numbers of dofs and subdomains, is shared with this object. The result must not be
+        used after :meth:`destroy` of this object. Its own :meth:`destroy` frees nothing.
 
         Args:
             K: Square AIJ matrix with the subdomains of this object, (n, n). The caller destroys it.

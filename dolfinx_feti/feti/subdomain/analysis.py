@@ -154,8 +154,8 @@ def is_worth_eliminating(torn: Torn, subdomains: Sequence[Subdomain]) -> bool:
         np.array([(on_interface**2).sum(), (dofs ** (4 / 3)).sum()])
     )
     largest = torn.comm.allreduce(on_interface.max(initial=0.0), op=MPI.MAX)
-    # All processes agree without communication: if a pressure is condensed, the number is set on
-    # each of them, to 0 on a process without cells.
+    # This is the same on all processes: if a pressure is condensed, the number is set on each of
+    # them, to 0 on a process without cells.
     has_condensed_pressure = torn.n_condensed_pressures is not None
     is_worth_it = dense <= MAX_MEMORY_RATIO * sparse or has_condensed_pressure
     return bool(is_worth_it and largest <= MAX_INTERFACE)

@@ -26,7 +26,7 @@ def index_set(rows: Indices) -> PETSc.IS:
 
 
 def as_slice(rows: Indices) -> slice | Indices:
-    """Return consecutive rows as a slice, and others as they are."""
+    """Return ascending rows as a slice if they are consecutive, and as they are otherwise."""
     if len(rows) and rows[-1] - rows[0] + 1 == len(rows):
         return slice(int(rows[0]), int(rows[-1]) + 1)
     return rows

@@ -24,9 +24,10 @@ diagonal d of K_i, and an orthonormal basis :math:`\tilde R` of the span of :mat
 4. *Exactness* (``mode_search``): if the forces K R of rigid modes (:data:`MAX_RIGID_FORCE`) and of
    null vectors (:data:`MAX_NULL_FORCE`) are rounding errors, E = R and D = 0 are used. Otherwise E
    and D are computed from K R.
-5. *Interior* (``interior``): steps 2 and 3 for K_II, which has no rigid modes. Its null vectors are
-   null vectors of the assembled matrix if they exert no force on the interface
-   (:data:`MAX_INTERFACE_FORCE`).
+5. *Interior* (``interior``): steps 2 and 3 for K_II, which has no rigid modes. Vectors whose forces
+   are not rounding errors (``torn.rounding.FORCE_ROUNDING_MARGIN``) are dropped: K_II is only badly
+   conditioned. The others are null vectors of the assembled matrix if they exert no force on the
+   interface (:data:`MAX_INTERFACE_FORCE`).
 
 If d spans many orders of magnitude (:data:`MAX_DIAGONAL_RATIO`), the matrix is scaled (``scaled``),
 to :math:`\bar d` times the equilibrated one. Modes with little energy then count as well:
@@ -77,6 +78,10 @@ MAX_DIAGONAL_RATIO = 1e6
 @dataclass(frozen=True, slots=True)
 class NullTolerances:
     """Tolerances of the search for null vectors of K_ρ that are not in R.
+
+    The first one decides whether there is a search, the second one which vectors it finds. To find
+    vectors with more energy, raise ``max_singular_value`` and reduce ``max_growth``: without a
+    search no vector is found.
 
     Attributes:
         max_growth: Null vectors are searched if a solve with the equilibrated matrix makes random

@@ -31,8 +31,9 @@ class SubdomainModes:
         R: Modes of K_ρ, (n_i, k): rigid modes, then null vectors, then buckling modes. They are
             orthonormal; in a scaled matrix (``scaled``) s times orthonormal.
         Y: Soft modes, (n_i, k_Y), orthogonal to R in the same sense.
-        E: ρ K⁺ (R, Y), (n_i, k + k_Y). It replaces the kernel, and spans it if K R = 0.
-        D: Its defect, (k + k_Y, k + k_Y); zero if K R = 0.
+        E: ρ K⁺ (R, Y), (n_i, k + k_Y). It replaces the kernel. If K R = 0, its first k columns
+            span the kernel.
+        D: Its defect, (k + k_Y, k + k_Y); zero if K R = 0 and there are no soft modes.
         stabilisation: Columns Z of K₊ = K + Z Zᵀ, (n_i, negative eigenvalues of D).
         is_exact: Whether K R = 0, and there are no soft modes. Then E = R and D = 0.
         is_softened: Whether stress softens the subdomain: D has a negative eigenvalue that is not

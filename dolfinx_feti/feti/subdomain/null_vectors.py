@@ -33,8 +33,10 @@ PROBES = 2
 MAX_DOFS_FOR_SVD = 600
 
 #: Share of the diagonal that inverse iteration adds to the block, because a singular block has no
-#: factor: above the singular values of null vectors, 1e-12, and below those of soft modes. Lattices
-#: of 1000 to 4000 dofs with 6, 12 and 24 null vectors have the same ones with 1e-11 to 1e-7.
+#: factor. It is above the singular values of exact null vectors, 1e-12 (``EXACTLY_NULL``), and
+#: below those of most soft modes. In a scaled matrix, singular values up to 1e-8 count as null
+#: (``NEARLY_NULL``). Lattices of 1000 to 4000 dofs with 6, 12 and 24 null vectors have the same
+#: ones with 1e-11 to 1e-7.
 SHIFT = 1e-9
 
 #: Vectors with which inverse iteration begins. Their number is doubled until they contain a mode
@@ -42,7 +44,7 @@ SHIFT = 1e-9
 #: lattices have the same null vectors with 4, 8 and 16, in times that differ by less than 30 %.
 FIRST_VECTORS = 8
 
-#: Ratio of the largest singular value among the vectors to SHIFT, and to that of a null vector,
+#: Ratio of the largest singular value among the vectors to SHIFT, and to the bound of null vectors,
 #: from which the null space is complete. Vectors whose singular values are all below SHIFT are
 #: mixtures of null vectors and soft modes, which STEPS do not separate: with eight vectors, 3 of 8
 #: null vectors were missed where springs of 1e-10 to 1e-6 times the stiffness join two lattices.
@@ -144,9 +146,9 @@ def _smallest_singular_vectors(
     which is clearly not null. Then the null space is complete.
 
     Args:
-        multiply: Applies the matrix to columns, (n_i, r) → (n_i, r).
-        solve: Applies the inverse of the matrix plus a small multiple of I.
-        n: Its size n_i.
+        multiply: Applies the matrix A to columns, (n_i, r) → (n_i, r).
+        solve: Applies (A + SHIFT I)⁻¹ to columns.
+        n: Number of rows n_i of A.
         max_null_value: Largest singular value of a null vector.
 
     Returns:

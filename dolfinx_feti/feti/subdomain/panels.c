@@ -35,8 +35,8 @@ void panels_premultiply(const panels *W, const double *S, double *Y, double *wor
     }
 }
 
-// Complete a symmetric X, (c, r) row by row, above the diagonal: entry (j, l) with j < a ≤ l < b is
-// copied from (l, j), which lies in one of the rows a, …, b − 1 of a panel.
+// Copy the rows a, …, b − 1 of a symmetric X, (c, r) row by row, left of the diagonal block, to the
+// same columns above that block: entry (j, l) = entry (l, j) for j < a ≤ l < b.
 static void mirror_rows(double *X, int r, int a, int b)
 {
     for (int j = 0; j < a; ++j) {

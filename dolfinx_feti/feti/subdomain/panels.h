@@ -24,7 +24,8 @@ void panels_premultiply(const panels *W, const double *S, double *Y, double *wor
                         dgemm_routine gemm);
 
 // X = Wᵀ Y. Y: (n, r), column by column. X: (c, r), row by row. work: (n r). If is_symmetric, X is
-// known to be symmetric (r = c), and only the blocks on and below the diagonal are computed.
+// known to be symmetric (r = c): products yield the blocks on and below the diagonal, which are
+// then copied to those above.
 void panels_multiply_transposed(const panels *W, int r, const double *Y, double *X, double *work,
                                 int is_symmetric, dgemm_routine gemm);
 

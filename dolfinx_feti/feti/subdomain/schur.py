@@ -60,7 +60,7 @@ class SchurComplement(ABC):
         return 0.0 if self.interior_factor is None else self.interior_factor.memory()
 
     def destroy(self) -> None:
-        """Free the factor."""
+        """Free the factor. If S_i is formed, it is freed with this object."""
         if self.interior_factor is not None:
             self.interior_factor.destroy()
 

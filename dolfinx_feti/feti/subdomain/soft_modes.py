@@ -24,8 +24,8 @@ import scipy.sparse.linalg
 from dolfinx_feti.feti.subdomain.orthonormal import symmetric_part
 from dolfinx_feti.runtime.arrays import Array, ColumnMap
 
-#: Largest subdomain of which all eigenvectors are computed, and none is missed [dofs]. That takes 7
-#: ms with 200 dofs, and 27 ms with 400.
+#: Largest subdomain of which all eigenvectors are computed, and none is missed [dofs]. That takes
+#: 7 ms with 200 dofs, and 27 ms with 400.
 MAX_DOFS_FOR_EIGH = 200
 
 #: Interface dofs of a subdomain for each of its soft modes, at least. A memory bound: soft modes

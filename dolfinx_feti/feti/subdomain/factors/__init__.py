@@ -8,8 +8,11 @@ factors of its matrices; a *factor* belongs to one matrix and solves. The files 
 depend on these interfaces only.
 
 To add a dense factorisation, write a class with the methods of ``Factor``, and a branch in
-``create.factor_dense``. To add a sparse one, write two classes with the methods of
-``SymbolicFactor`` and of ``Factor``, and a branch in ``create.analyse_blocks``. Four points:
+``create.factor_dense``, which treats blocks without rows itself. ``PackedMatrix`` returns the block
+in a work space that others overwrite later: the factor has to be a copy, such as a packed one.
+
+To add a sparse factorisation, write two classes with the methods of ``SymbolicFactor`` and of
+``Factor``, and a branch in ``create.analyse_blocks``. Four points:
 
 - For a block with an interface it has to form S. If it cannot, leave these blocks to the present
   branch.

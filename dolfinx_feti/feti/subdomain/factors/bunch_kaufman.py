@@ -30,7 +30,12 @@ class BunchKaufmanFactor:
     is_single_precision = False
 
     def __init__(self, L_Δ: Array, interchanges: Indices) -> None:
-        """Take over L and Δ in one matrix, (n, n), and (n,), n > 0, as LAPACK's dsytrf returns."""
+        """Take over the results of LAPACK's dsytrf for a matrix of n > 0 rows.
+
+        Args:
+            L_Δ: L and Δ in one matrix, (n, n).
+            interchanges: Row interchanges, (n,), negative for a block of two rows.
+        """
         self._L_Δ: Array | None = L_Δ
         self._interchanges = interchanges
         negative = np.count_nonzero(_eigenvalues_of_pivots(L_Δ, interchanges) < 0.0)
@@ -88,7 +93,8 @@ def _eigenvalues_of_pivots(L_Δ: Array, interchanges: Indices) -> Array:
         interchanges: LAPACK's row interchanges, (n,), negative for a block of two rows.
     """
     d = L_Δ.diagonal().copy()
-    first = np.flatnonzero(interchanges < 0)[::2]  # first rows of the blocks of two rows
+    # Both rows of a block are negative, and blocks follow each other: every second one is a first.
+    first = np.flatnonzero(interchanges < 0)[::2]
     a = d[first]
     b = L_Δ[first + 1, first]
     c = d[first + 1]

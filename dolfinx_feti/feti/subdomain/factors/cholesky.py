@@ -43,7 +43,7 @@ class CholeskyFactor:
     is_single_precision = False
 
     def __init__(self, L: PackedTriangle[np.float64], work: WorkSpace) -> None:
-        """Take over L, (n, n), n > 0, and refer to a work space that others use as well."""
+        """Take over L, (n, n), n > 0; a shared work space is used to unpack it."""
         self._L: PackedTriangle[np.float64] | None = L
         self._work = work
 
@@ -91,7 +91,13 @@ class SingleCholeskyFactor:
     is_single_precision = True
 
     def __init__(self, L: PackedTriangle[np.float32], rho: float, work: WorkSpace) -> None:
-        """Take over L, (n, n), n > 0, of the matrix over ρ, and refer to a work space."""
+        """Take over L, (n, n), n > 0, a factor of S/ρ + R Rᵀ.
+
+        Args:
+            L: The factor.
+            rho: The stiffness ρ.
+            work: Shared work space, in which L is unpacked.
+        """
         self._L: PackedTriangle[np.float32] | None = L
         self._rho = rho
         self._work = work
@@ -137,6 +143,7 @@ def factor_cholesky(
         The factor; None if the matrix is not positive definite.
     """
     X = S.unpack_regularised(R, rho, shift)
+    # clean=0: the entries above the diagonal remain arbitrary, and ``pack`` does not read them.
     X, info = lapack.dpotrf(X, lower=1, overwrite_a=1, clean=0)
     if info:
         return None

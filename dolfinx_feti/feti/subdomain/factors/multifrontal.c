@@ -134,7 +134,9 @@ static int number_steps(elimination_tree *t, const int *order)
     return DONE;
 }
 
-// Make room in t->structures for the structure of one more step.
+// Make room in t->structures for the structure of one more step, which has fewer than m entries.
+// The first capacity is 64 entries for each node. Later it more than doubles each time: the entries
+// are rarely copied.
 static int reserve_structure(elimination_tree *t)
 {
     if (t->used + t->m <= t->capacity) return DONE;
@@ -330,7 +332,7 @@ static int create_fronts(const elimination_tree *t, const step_groups *g, assemb
     return DONE;
 }
 
-// Largest number of doubles whose size in bytes fits into 64 bits.
+// Largest number of doubles of which the number of bytes fits into 64 bits.
 static const int64_t MAX_ENTRIES = INT64_MAX / sizeof(double);
 
 // Find the places of the fronts among ranks, update rows and factor, and the sizes that are sums or
@@ -472,9 +474,11 @@ static int count_dofs(const subdomain_graph *graph, int *n_i)
     return DONE;
 }
 
-// Fill an assembly tree whose entries are zero, but for n_i.
+// Analyse a graph.
 //
-// t: of the right sizes, without steps. g: empty. The caller frees what they contain.
+// t, g: results of the steps of the analysis. On entry t has m, m_I and size; other pointers are
+// NULL. The caller frees what has been allocated, also after a failure.
+// tree: filled. On entry it has n_i, and all else is zero.
 static int analyse(elimination_tree *t, step_groups *g, const subdomain_graph *graph,
                    assembly_tree *tree)
 {
@@ -555,6 +559,9 @@ static inline int rank_of(const assembly_tree *tree, const process_matrix *K, in
 static int64_t packed_place(int64_t n, int64_t i, int64_t j) { return j * n - j * (j + 1) / 2 + i; }
 
 // S += K_ΓΓ, packed, (n_Γ (n_Γ + 1) / 2).
+//
+// K is symmetric: of each row r only the entries on and above the diagonal, s ≥ r, are read. The
+// test s < r also skips fixed dofs, for which s = −1.
 static int assemble_interface(const assembly_tree *tree, const process_matrix *K, double *S)
 {
     const int n_I = tree->n_I;
@@ -571,7 +578,8 @@ static int assemble_interface(const assembly_tree *tree, const process_matrix *K
     return DONE;
 }
 
-// (P, Q) = rows of K of the pivots of a front from the diagonal on, (p, p + q).
+// (P, Q) = rows of K of the pivots of a front, from the diagonal on, (p, p + q). The test s < r
+// skips the entries before the diagonal and the fixed dofs, as in assemble_interface.
 static int assemble_pivot_rows(const factorisation *w, const front *F, double *P)
 {
     const assembly_tree *const tree = w->tree;
@@ -589,9 +597,10 @@ static int assemble_pivot_rows(const factorisation *w, const front *F, double *P
     return DONE;
 }
 
-// Extend-add: add the update matrix of a child, (u, u), whose rows have the places `at`, to the
-// matrix of a front. Places ascend, because both are sorted by rank: entry (l, j), l ≥ j, of the lower
-// triangle goes to row j of (P, Q) if j is a pivot there, and to the lower triangle of C otherwise.
+// Extend-add: add the update matrix of a child, (u, u), to the matrix of a front. Row j of the
+// child has the place at[j] in the front. Places ascend: both are sorted by rank. Entry (l, j),
+// l ≥ j, of the child's lower triangle goes to row at[j] of (P, Q) if that is a pivot of the front,
+// and to the lower triangle of C otherwise.
 static void extend_add(const front *F, double *restrict P, double *restrict C, int u, const int *at,
                        const double *restrict update)
 {
@@ -623,6 +632,9 @@ static void add_children(factorisation *w, const front *F, double *P, double *C)
 }
 
 // Assemble the matrix of a front, P, Q and C, from K and its children.
+//
+// At the end the update rows have the place −1 again. The pivots keep their places: they are
+// eliminated now, and no later front looks up their ranks.
 static int assemble_front(factorisation *w, const front *F, double *P, double *C)
 {
     const int p = F->p;
@@ -693,7 +705,8 @@ static void store_factor(const front *F, const double *U, double *factor)
     memcpy(to, U + p * p, p * F->q_I * sizeof(double));
 }
 
-// Push the update matrix of front i, C, (q, q), on the stack; that of a root is added to S.
+// Push the update matrix of front i, C, (q, q), on the stack. A front without update rows in the
+// interior is a root and has no parent: its update matrix is added to S.
 static void store_update(factorisation *w, int i, const double *C, double *S)
 {
     const front *const F = w->tree->fronts + i;
@@ -723,7 +736,9 @@ static int factor_fronts(factorisation *w, const double *addend_on_last,
     for (int i = 0; i <= last; ++i) {
         const front *const F = w->tree->fronts + i;
         const int64_t p = F->p;
-        double *const P = w->stack_end; // before its children are popped, which are below it
+        // Its children are on top of the stack when it is assembled: its matrix begins above them,
+        // and stays there when they are popped.
+        double *const P = w->stack_end;
         double *const C = P + p * (p + F->q);
         int status = assemble_front(w, F, P, C);
         if (status) return status;

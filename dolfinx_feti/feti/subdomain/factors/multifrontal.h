@@ -12,7 +12,15 @@
 // No function keeps a pointer that it is passed. cffi parses this file, which therefore has no
 // preprocessor directives: multifrontal.c includes stdint.h first.
 
-enum { DONE, NO_MEMORY, TOO_LARGE, INVALID, NOT_DEFINITE, NEW_PATTERN };
+// Status that a function returns. DONE is zero; all others are failures.
+enum {
+    DONE,
+    NO_MEMORY,    // for the integers of the analysis or of the factorisation
+    TOO_LARGE,    // a number of dofs exceeds 32 bits, or a number of bytes 64
+    INVALID,      // the graph, or the order of its nodes, is inconsistent
+    NOT_DEFINITE, // K_II is not positive definite
+    NEW_PATTERN   // the matrix has an entry outside of the fronts
+};
 
 // The graph of the matrix of a subdomain, and the order in which its interior is eliminated.
 typedef struct {
@@ -82,15 +90,14 @@ typedef struct {
 // Find the fronts of a graph.
 //
 // result: the fronts, which multifrontal_free frees; NULL on failure.
-// Returns DONE; NO_MEMORY; TOO_LARGE if a number of dofs exceeds 32 bits, or a number of bytes 64;
-// INVALID if the graph or the order is inconsistent.
+// Returns DONE, NO_MEMORY, TOO_LARGE or INVALID.
 int multifrontal_analyse(const subdomain_graph *graph, assembly_tree **result);
 
 // Factor K_II and form S for one matrix.
 //
 // addend_on_last: added to K_II on the pivots of the last front, (p, p); NULL for none.
-// Returns DONE; NO_MEMORY; NOT_DEFINITE if K_II is not positive definite; NEW_PATTERN if an entry of
-// K lies outside of the fronts. After a failure the contents of the storage are arbitrary.
+// Returns DONE, NO_MEMORY, NOT_DEFINITE or NEW_PATTERN. After a failure the contents of the storage
+// are arbitrary.
 int multifrontal_factor(const assembly_tree *tree, const process_matrix *K,
                         const double *addend_on_last, const factor_storage *storage,
                         const dense_routines *dense);

@@ -94,7 +94,7 @@ def _metis_order(ptr: Numbers, adjacent: Indices) -> Indices | None:
     n = np.array([len(ptr) - 1], dtype=integer)
     begin = ptr.astype(integer)
     neighbours = adjacent.astype(integer)
-    order, rank = np.empty((2, len(ptr) - 1), dtype=integer)
+    order, rank = np.empty((2, len(ptr) - 1), dtype=integer)  # a permutation and its inverse
     status = node_nd(
         n.ctypes.data,
         begin.ctypes.data,

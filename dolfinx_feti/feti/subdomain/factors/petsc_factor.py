@@ -69,7 +69,7 @@ class PetscFactor:
 
     def solve(self, Y: Array, *, transpose: bool = False) -> Array:
         """Return K_ρ⁻¹ Y, or K_ρ⁻ᵀ Y, (n_i,) or (n_i, r)."""
-        if not self._pc:
+        if not self._pc:  # a destroyed object of PETSc is false
             raise destroyed_error()
         if Y.ndim == 1:
             return self._solve_one(Y, transpose=transpose)
@@ -136,6 +136,7 @@ def factor_by_petsc(
     n_border = 0 if R is None else R.shape[1]
     if R is not None and n_border:
         matrix = _bordered(matrix, R, rho)
+    # PETSc converts a matrix to its upper triangle only if it is marked as symmetric.
     matrix.setOption(PETSc.Mat.Option.SYMMETRIC, options.is_symmetric)
     if is_ldlt(options):
         matrix = _upper_triangle(matrix)

@@ -99,6 +99,7 @@ def factor_matrix(matrix: PETSc.Mat, options: FactorOptions) -> PETSc.PC:
         pc.setFromOptions()
         set_mumps_controls(pc, percent)
         if is_mumps(pc):
+            # Right-hand sides of one solve phase.
             pc.getFactorMatrix().setMumpsIcntl(27, options.right_hand_sides)
 
     return set_up_with_retries(lambda: PETSc.PC().create(PETSc.COMM_SELF), configure)
@@ -193,6 +194,7 @@ def set_mumps_controls(pc: PETSc.PC, percent: int, zero_pivot: float | None = No
     """
     if not is_mumps(pc):
         return
+    # In its set-up PETSc reads the options mat_mumps_…, which override these values.
     pc.setFactorSetUpSolverType()
     F = pc.getFactorMatrix()
     F.setMumpsIcntl(14, percent)
@@ -215,7 +217,7 @@ def solve_columns(pc: PETSc.PC, B: PETSc.Mat, X: PETSc.Mat, *, transpose: bool =
         F.matSolve(B, X)
         return
     if is_mumps(pc):
-        F.setMumpsIcntl(9, 0)  # the transpose
+        F.setMumpsIcntl(9, 0)  # solve with the transpose; 1 for the matrix itself
         try:
             F.matSolve(B, X)
         finally:
@@ -254,6 +256,7 @@ def inertia_of(pc: PETSc.PC) -> FactorInertia:
     if not is_mumps(pc):
         return FactorInertia(None, None)
     F = pc.getFactorMatrix()
+    # INFOG(12): negative pivots of L Δ Lᵀ, or off-diagonal ones of L U. INFOG(28): zero pivots.
     negative = F.getMumpsInfog(12) if pc.getType() == "cholesky" else None
     return FactorInertia(negative, F.getMumpsInfog(28))
 
@@ -261,7 +264,8 @@ def inertia_of(pc: PETSc.PC) -> FactorInertia:
 def factor_memory(pc: PETSc.PC) -> float | None:
     """Return the memory of a factor in MiB, over all processes; None if it is not reported."""
     if is_mumps(pc):
-        return float(pc.getFactorMatrix().getMumpsInfog(22)) * 1e6 / 2**20  # reported in 10⁶ bytes
+        # INFOG(22): memory used in the factorisation, sum over the processes, in 10⁶ bytes.
+        return float(pc.getFactorMatrix().getMumpsInfog(22)) * 1e6 / 2**20
     if pc.getType() not in ("cholesky", "lu"):
         return None
     return float(pc.getFactorMatrix().getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["memory"]) / 2**20

@@ -53,7 +53,8 @@ class Factor(Protocol):
         """Solve with the matrix or its transpose.
 
         Args:
-            Y: One right-hand side, (n_i,), or several, (n_i, r).
+            Y: One right-hand side, (n_i,), or several, (n_i, r), stored by rows or by columns; r
+                may be zero. Y does not change.
             transpose: Solve with the transpose; the same for a symmetric matrix.
 
         Returns:

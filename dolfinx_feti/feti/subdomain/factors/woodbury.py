@@ -7,9 +7,10 @@ r"""Factors of the dense :math:`K_ρ = K + ρ\, R R^⊤` by those of a sparse ma
           K_ρ^{-1} y = z - Z C V^⊤ z, \qquad z = K_Q^{-1} y, \qquad C = (Λ^{-1} + V^⊤ Z)^{-1}
 
 with V = (R, Q), :math:`Z = K_Q^{-1} V`, :math:`Λ = \operatorname{diag}(ρ I, -ρ I)` (Sherman,
-Morrison and Woodbury; docs/theory.md). Q is an orthonormal basis of R on the dofs that are
-eliminated last, and zero elsewhere. These dofs are one dense block of the factor, to which
-:math:`ρ\, Q Q^⊤` adds no entries.
+Morrison and Woodbury; docs/theory.md). K itself may be singular, as it is for a floating subdomain,
+and :math:`K_Q` is not. Q is an orthonormal basis of R on the dofs that are eliminated last, and
+zero elsewhere. These dofs are one dense block of the factor, to which :math:`ρ\, Q Q^⊤` adds no
+entries.
 
 The bordered matrix :math:`\begin{pmatrix} K_Q & V \\ V^⊤ & -Λ^{-1} \end{pmatrix}` has the Schur
 complements :math:`-C^{-1}` and :math:`K_Q + V Λ V^⊤ = K_ρ`. Counting its inertia both ways gives
