@@ -174,6 +174,7 @@ class _LoadStepper(Stepper[LoadStep]):
         self._last_displacements.advance()
 
     def _remedy(self, error: ConvergenceError) -> str:
+        """Return the remedy at the least increment; empty if the error names it itself."""
         if isinstance(error, WITH_REMEDY):
             return ""
         was_indefinite = any(step.indefinite for step in self._problem.history)
@@ -182,12 +183,15 @@ class _LoadStepper(Stepper[LoadStep]):
         return SMALLER_INCREMENTS
 
     def _is_met(self, target: float) -> bool:
+        """Return True if the last equilibrium is at a target: steps lead to it exactly."""
         return self.at == target
 
     def _has_loose_tolerance(self, to: float, target: float) -> bool:
+        """Return True on the way to a target if ``Steps.rtol`` is given."""
         return to != target and self._steps.rtol is not None
 
     def _complete(self, step: LoadStep) -> LoadStep:
+        """Return the step as it is: an equilibrium needs no completion."""
         return step
 
     def _attempt(self, to: float, target: float) -> None:
@@ -236,4 +240,4 @@ class _LoadStepper(Stepper[LoadStep]):
 
     def _can_shorten(self, to: float) -> bool:
         """Return True if a failed step to a load can be repeated with a smaller increment."""
-        return not self.length.is_least(abs(to - self.at), self.at)
+        return not self.length_rule.is_least(abs(to - self.at), self.at)

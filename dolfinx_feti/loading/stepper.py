@@ -64,14 +64,14 @@ class Stepper(ABC, Generic[Step]):
 
     Attributes:
         state: The present state and the accepted ones.
-        length: The rule for the lengths of steps, with the present one.
+        length_rule: The rule for the lengths of steps, with the present one.
     """
 
     def __init__(
         self,
         problem: Problem,
         set_place: Callable[[float], object],
-        length: StepLengthRule[Step],
+        length_rule: StepLengthRule[Step],
         state: PathState,
         *,
         step_type: type[Step],
@@ -84,7 +84,7 @@ class Stepper(ABC, Generic[Step]):
         Args:
             problem: The problem.
             set_place: Sets the user's loads and conditions to those of a load or time.
-            length: The rule for the lengths, with the first one.
+            length_rule: The rule for the lengths, with the first one.
             state: The state, accepted at the beginning of the path.
             step_type: Class of the accepted steps.
             function_name: Name of the public function, which a checkpoint stores.
@@ -92,7 +92,7 @@ class Stepper(ABC, Generic[Step]):
             quantity: What a place is, for the log.
         """
         self.state = state
-        self.length = length
+        self.length_rule = length_rule
         self._comm: MPI.Comm = problem.unknown.function_space.mesh.comm
         self._problem = problem
         self._set_user_place = set_place
@@ -130,7 +130,7 @@ class Stepper(ABC, Generic[Step]):
             The accepted steps, those before a restart included.
         """
         accepted: list[Step] = []
-        tolerance = PlaceTolerance.of([self.at, *targets], self.length.least)
+        tolerance = PlaceTolerance.of([self.at, *targets], self.length_rule.least)
         is_restarted = False
         if checkpoint is not None and checkpoint.restart:
             accepted, targets = self._restart(checkpoint, targets, tolerance)
@@ -155,11 +155,7 @@ class Stepper(ABC, Generic[Step]):
                         step = self._take_step(target, progress)  # 1 and 2
                         accepted.append(step)
                         progress.log_step(step)
-                        try:
-                            if on_step is not None:
-                                on_all(partial(on_step, step), self._comm)  # 3
-                        finally:
-                            self._accept(step.load, target)  # 4
+                        self._end_step(step, target, on_step)  # 3 and 4
                         if checkpoint is not None:
                             self._write(checkpoint, accepted)  # 5
                         on_all(check_signals, self._comm)
@@ -212,7 +208,7 @@ class Stepper(ABC, Generic[Step]):
         failures = 0
         lost = []
         while True:
-            to = self.length.next_place(before, target)
+            to = self.length_rule.next_place(before, target)
             progress.show_attempt(before, to)
             try:
                 self._attempt(to, target)
@@ -238,8 +234,18 @@ class Stepper(ABC, Generic[Step]):
         )
         completed = self._complete(step)
         self._problem.update_internal_variables("recorded")
-        self.length.adapt(completed, n_updates=self._problem.n_updates)
+        self.length_rule.adapt(completed, n_updates=self._problem.n_updates)
         return completed
+
+    def _end_step(
+        self, step: Step, target: float, on_step: Callable[[Step], object] | None
+    ) -> None:
+        """Call ``on_step``, and accept the state even if that raises an error. Collective."""
+        try:
+            if on_step is not None:
+                on_all(partial(on_step, step), self._comm)  # 3
+        finally:
+            self._accept(step.load, target)  # 4
 
     def _accept(self, to: float, target: float) -> None:
         """Advance the histories, and accept the state. Collective."""
@@ -297,14 +303,14 @@ class Stepper(ABC, Generic[Step]):
         Raises:
             ConvergenceError: The step that failed had the least length.
         """
-        if self.length.is_least(length, self.at):
+        if self.length_rule.is_least(length, self.at):
             attempts = "" if failures == 1 else f", the last of {failures} attempts,"
             text = (
                 f"{self._failure} {self.at:g}: an increment of {length:g}{attempts} failed, and "
-                f"{self.length.least:g} is the least allowed. {error} {self._remedy(error)}"
+                f"{self.length_rule.least:g} is the least allowed. {error} {self._remedy(error)}"
             )
             raise ConvergenceError(text.rstrip()) from error
-        self.length.halve(length)
+        self.length_rule.halve(length)
 
     # -- checkpoints
 
@@ -316,7 +322,7 @@ class Stepper(ABC, Generic[Step]):
         """
         record = {
             "function": self._function_name,
-            "length": self.length.record(),
+            "length": self.length_rule.record(),
             "reached": self._reached,
             "is_loose": self._is_loose,
             "steps": [asdict(step) for step in accepted],
@@ -380,13 +386,13 @@ class Stepper(ABC, Generic[Step]):
             ValueError: Another rule wrote the record, which lacks what this one remembers.
         """
         try:
-            self.length.restore(record["length"])
+            self.length_rule.restore(record["length"])
         except KeyError as error:
+            rule = type(self.length_rule).__name__
             raise ValueError(
-                f"The checkpoint in {checkpoint.folder} holds no {error}, which "
-                f"{type(self.length).__name__} remembers from step to step: it was written with "
-                "another rule for the lengths of steps. Restart with the settings of steps that "
-                "wrote it, or name another folder."
+                f"The checkpoint in {checkpoint.folder} holds no {error}, which {rule} remembers "
+                "from step to step: it was written with another rule for the lengths of steps. "
+                "Restart with the settings of steps that wrote it, or name another folder."
             ) from error
 
     def _unmet(self, targets: Sequence[float], tolerance: PlaceTolerance) -> list[float]:

@@ -175,9 +175,11 @@ class _TimeStepper(Stepper[TimeStep]):
         return Compiler(self._comm).form(form)
 
     def _is_met(self, target: float) -> bool:
+        """Return True if the last state is at a target or after it."""
         return self.at >= target
 
     def _remedy(self, error: ConvergenceError) -> str:
+        """Return the remedy after a failure at the least length."""
         return "Allow shorter steps by TimeSteps(least=…), or a larger tolerance."
 
     def _begin(self, targets: Sequence[float], *, is_restarted: bool) -> None:
@@ -185,7 +187,7 @@ class _TimeStepper(Stepper[TimeStep]):
         if is_restarted or not targets:
             self._motion.set_to_last_state()
         else:
-            self._start_conditions(min(self.length.present, targets[0] - self.at))
+            self._start_conditions(min(self.length_rule.present, targets[0] - self.at))
             self._set_place(self.at)
             self._motion.balance(self._residual, self._bcs)
         self._forces = self._present_forces()
@@ -210,7 +212,9 @@ class _TimeStepper(Stepper[TimeStep]):
         """
         if dt <= 0.0:
             return
-        g0, g1, g2 = (self._values_at(t) for t in (self.at, self.at + dt / 2.0, self.at + dt))
+        g0 = self._values_at(self.at)
+        g1 = self._values_at(self.at + dt / 2.0)
+        g2 = self._values_at(self.at + dt)  # last: it sets the length of the first step
         dofs = dirichlet_dofs(self._bcs)
         v = self._motion.velocity.x.array
         ü = self._motion.acceleration.x.array
@@ -220,9 +224,8 @@ class _TimeStepper(Stepper[TimeStep]):
     def _values_at(self, t: float) -> Array:
         """Return u with the prescribed values at a time, with ghosts; that time is set. Collective.
 
-        Scalars get the distance of that time as the length of a step (``begin_step``). The last
-        call sets the length of the first step, with which their forces are balanced at the
-        beginning.
+        ``begin_step`` gives the scalars the time from now as the length of a step. Their forces at
+        the beginning are balanced with the length that was set last.
         """
         self._set_place(t)
         values = self._problem.unknown.x.array.copy()
@@ -231,6 +234,7 @@ class _TimeStepper(Stepper[TimeStep]):
         return values
 
     def _after_restore(self) -> None:
+        """Set velocity and acceleration in the forms to those of the restored state."""
         self._motion.set_to_last_state()
 
     def _attempt(self, to: float, target: float) -> None:
