@@ -86,7 +86,7 @@ class Forms:
     """The forms of a problem, on one unknown that is torn and fields that are condensed.
 
     :func:`derive` and :func:`linear_forms` set what follows from the user's forms. The problem
-    classes add ``volume_ratio``, ``degree``, ``mixed`` and ``scalar_forms`` in a copy.
+    classes add ``volume_ratio`` with its degree, ``mixed`` and ``scalar_forms`` in a copy.
 
     Attributes:
         u: The unknown that is torn; in a linear problem, a Function that stays zero.
@@ -99,8 +99,8 @@ class Forms:
         symmetric: Whether J is the second derivative of an energy; None if unknown.
         has_given_tangent: Whether J is the user's own.
         volume_ratio: det F, positive in admissible states; None if the forms contain no F.
-        degree: Degree of the quadrature at whose points the volume ratio is evaluated; without
-            effect if there is none.
+        volume_ratio_degree: Degree of the quadrature at whose points the volume ratio is evaluated;
+            without effect if there is none.
         contacts: Contacts; F_u, J and the energy contain their integrals.
         mixed: The user's unknown, if that has a mixed element of one; else None.
         compression: Terms added to the equations of incompressible fields; None without any.
@@ -118,7 +118,7 @@ class Forms:
     symmetric: bool | None = None
     has_given_tangent: bool = False
     volume_ratio: VolumeRatio | None = None
-    degree: int = 0
+    volume_ratio_degree: int = 0
     contacts: tuple[Contact, ...] = ()
     mixed: MixedOfOne | None = None
     compression: Compression | None = None

@@ -246,6 +246,7 @@ class LinearProblem(TornProblem):
         return self._compiler.form(self._residual_at_solution)
 
     def _balance(self) -> Balance:
+        """Return the forces at the solution. Collective."""
         residual = assemble_owned(self._compiled_residual)
         return Balance(residual, self._residual_at_solution, is_deformed=False)
 

@@ -146,14 +146,14 @@ class StepPlan:
         target: ‖r‖ that the steps aim at.
         floor: ‖r‖ that is rounding.
         reuses_tangent: Whether the matrix holds the tangent of the step before.
-        linear_error: Bounds of the estimated error of ΔU that are small enough for the linear
+        linear_allowance: Bounds of the estimated error of ΔU that are small enough for the linear
             solves.
     """
 
     target: float
     floor: float
     reuses_tangent: bool
-    linear_error: ErrorAllowance
+    linear_allowance: ErrorAllowance
 
 
 class NewtonSolve:
@@ -239,9 +239,9 @@ class NewtonSolve:
             if self._is_rounding(iterate, error, floor):
                 return self._end_at_rounding(iterate, error)
             self._check_tangent(iterate, is_new=not reuses_tangent)
-            linear_error = self._state_error.of_linear_solve(error)
+            allowance = self._state_error.linear_allowance(error)
             try:
-                iterate = self._step(iterate, StepPlan(target, floor, reuses_tangent, linear_error))
+                iterate = self._step(iterate, StepPlan(target, floor, reuses_tangent, allowance))
             except NewtonFailure:
                 if error.needs_step and error.is_acceptable_as_rounding:
                     return self._end_with_error(error)
@@ -405,7 +405,7 @@ class NewtonSolve:
         return newton_tolerances(
             self._ksp,
             norm=RESIDUAL_SHARE * plan.target,
-            error=plan.linear_error,
+            error=plan.linear_allowance,
             load_rounding=plan.floor,
         )
 

@@ -65,7 +65,7 @@ from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.norms import norm
 from dolfinx_feti.runtime.petsc_errors import python_errors
 from dolfinx_feti.runtime.petsc_options import inserted
-from dolfinx_feti.scalars import couplings as coupled
+from dolfinx_feti.scalars.couplings import check_couplings, coupling_works, refuse_condensed_fields
 from dolfinx_feti.scalars.equations import Coupling
 from dolfinx_feti.wall.conditions.boundary import Boundary
 
@@ -348,12 +348,14 @@ class NonlinearProblem(TornProblem):
         return self._system.linearise()
 
     def _balance(self) -> Balance:
+        """Return the forces of the present state, with λ = p. Collective."""
         self._begin_with_present_pressures()
         is_deformed = self._system.deformation is not None
         force = self._system.residual().force
         return Balance(force, self._forms.F_u, is_deformed=is_deformed)
 
     def _assemble_system(self) -> Residual:
+        """Assemble A and its near kernel; return the residual of the present state. Collective."""
         self._begin_with_present_pressures()
         return super()._assemble_system()
 
@@ -456,6 +458,7 @@ class NonlinearProblem(TornProblem):
             self._cells.warn(self._system.conditions.mask)
 
     def _advice_on_cells(self, volumes: CellVolumes | None) -> list[Advice]:
+        """Return advice on cells that are inside out or distorted."""
         if volumes is None or self._cells is None:
             return []
         return self._cells.advise(volumes)
@@ -573,6 +576,7 @@ class NonlinearProblem(TornProblem):
         self.solver.getKSP().getPythonContext().renew()
 
     def _advice_of_solves(self) -> list[Advice]:
+        """Return the advice on the tangent from all solves."""
         return [finding.advice for finding in self._newton.findings]
 
 
@@ -653,7 +657,7 @@ def _arrange(
 
     # what acts on them
     conditions = on_all(lambda: checked_conditions(V, bcs, fields=blocks.fields, mixed=mixed), comm)
-    couplings = [*blocks.equations, *coupled.check_couplings(scalars, conditions, V)]
+    couplings = [*blocks.equations, *check_couplings(scalars, conditions, V)]
     checked = on_all(lambda: checked_contacts(contacts, blocks.u, contact_tolerance), comm)
     return ArrangedProblem(given.u, blocks, mixed, energy, conditions, couplings, Contacts(checked))
 
@@ -689,11 +693,11 @@ def _derive_forms(
         condense=blocks.fields,
         energy=arranged.energy,
         degree=degree,
-        work=coupled.coupling_works(arranged.couplings),
+        work=coupling_works(arranged.couplings),
         updates_coefficients=updates_coefficients,
         contacts=arranged.contacts.contacts,
     )
-    coupled.refuse_condensed_fields(arranged.couplings, blocks.fields, forms.residuals[1:])
+    refuse_condensed_fields(arranged.couplings, blocks.fields, forms.residuals[1:])
     full_energy = forms.energy
     if arranged.couplings:
         # The equations of scalars are no derivatives of an energy. ``derive`` has dropped it if
@@ -710,7 +714,11 @@ def _create_cell_check(
     if forms.volume_ratio is None:
         return None
     return CellCheck(
-        forms.volume_ratio, blocks.u, blocks.fields, compiler, quadrature_degree=forms.degree
+        forms.volume_ratio,
+        blocks.u,
+        blocks.fields,
+        compiler,
+        quadrature_degree=forms.volume_ratio_degree,
     )
 
 
@@ -732,7 +740,7 @@ def _with_volume_ratio(
     degree = quadrature_degree
     if degree is None:
         degree = 2 * forms.u.function_space.ufl_element().embedded_superdegree
-    return replace(forms, volume_ratio=ratio, degree=degree)
+    return replace(forms, volume_ratio=ratio, volume_ratio_degree=degree)
 
 
 def _rewrite_mixed_of_one(

@@ -141,7 +141,10 @@ class System:
         self.deformation: DeformationGradient | None = None
         if forms.volume_ratio is not None:
             self.deformation = DeformationGradient(
-                forms.volume_ratio, space, quadrature_degree=forms.degree, compiler=compiler
+                forms.volume_ratio,
+                space,
+                quadrature_degree=forms.volume_ratio_degree,
+                compiler=compiler,
             )
         self.lengths: Array = np.zeros(len(self.torn_dofs.local))
         self.owned = V.dofmap.index_map.size_local * V.dofmap.index_map_bs

@@ -116,29 +116,29 @@ class NewtonFailure(Exception):  # noqa: N818
     """Newton's method failed, on all processes.
 
     Attributes:
-        failure: One of ``FAILURES``.
+        kind: One of ``FAILURES``.
     """
 
-    def __init__(self, failure: Failure, detail: object = "") -> None:
+    def __init__(self, kind: Failure, detail: object = "") -> None:
         """Create the exception.
 
         Args:
-            failure: One of ``FAILURES``.
+            kind: One of ``FAILURES``.
             detail: Fills {1} in cause and remedy.
         """
-        super().__init__(failure, detail)
-        self.failure = failure
+        super().__init__(kind, detail)
+        self.kind = kind
         self._detail = detail
 
     @property
     def cause(self) -> str:
         """The cause in words."""
-        return self.failure.cause.format("", self._detail)
+        return self.kind.cause.format("", self._detail)
 
     def remedy(self, *, is_displacement: bool) -> str:
         """Return the remedy for a displacement with a known det F, or for another unknown."""
         general = SMALLER_LOAD_STEPS if is_displacement else CLOSER_START
-        return self.failure.remedy.format(general, self._detail)
+        return self.kind.remedy.format(general, self._detail)
 
 
 @dataclass(frozen=True, slots=True)

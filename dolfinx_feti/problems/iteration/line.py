@@ -39,6 +39,7 @@ class Line:
     """The states along the direction of one Newton step.
 
     Attributes:
+        comm: Communicator, for norms of the forces of trials.
         iterate: Where the step begins.
         direction: ΔU.
         slope: g_0. It is negative for a descent direction, and may be positive for others.
@@ -63,6 +64,7 @@ class Line:
             direction: ΔU.
             allows_overshoot: Whether a whole step with finite forces may end anywhere.
         """
+        self.comm = system.comm
         self.iterate = iterate
         self.direction = direction
         self.allows_overshoot = allows_overshoot
@@ -80,10 +82,10 @@ class Line:
         if self.iterate.violates_constraints:
             prescribed_du = self.direction.du - self._free_du  # ΔU_D
             r = r + system.tangent.multiply(prescribed_du)  # r_f + K_fD ΔU_D
-        slope = dot(system.comm, self._free_du, r)
+        slope = dot(self.comm, self._free_du, r)
         if system.scalars.size:
             force = system.scalars.force_of(self.direction.ds)  # B Δs
-            work = dot(system.comm, self._free_du, force)
+            work = dot(self.comm, self._free_du, force)
             slope = -abs(slope) - abs(work)
         return slope
 
@@ -96,7 +98,7 @@ class Line:
         residual = system.residual()
         ratio = 0.0
         if self.slope:
-            ratio = dot(system.comm, self._free_du, residual.force) / self.slope  # g(α)/g_0
+            ratio = dot(self.comm, self._free_du, residual.force) / self.slope  # g(α)/g_0
         return Trial(alpha, residual, ratio)
 
     def stay(self) -> Trial:

@@ -158,7 +158,7 @@ class StateError:
             lacks_scalar_solve=ends and is_unknown and not history and has_scalars,
         )
 
-    def of_linear_solve(self, estimate: ErrorEstimate) -> ErrorAllowance:
+    def linear_allowance(self, estimate: ErrorEstimate) -> ErrorAllowance:
         """Return bounds of the estimated error of ΔU, within which the next linear solve may end.
 
         Args:

@@ -62,11 +62,11 @@ class StepTest:
             if np.isnan(self.potential):
                 self.potential = system.potential()
         is_known = not np.isnan(self.potential)
-        self._has_potential = is_known and not line.iterate.violates_constraints
+        self._uses_potential = is_known and not line.iterate.violates_constraints
         is_rounding = abs(line.slope) <= POTENTIAL_ROUNDING * abs(self.potential)
         has_fields = line.iterate.residual.blocks is not None
         may_decide = self._is_shifted or not has_fields
-        self._decides = self._has_potential and not is_rounding and may_decide
+        self._potential_decides = self._uses_potential and not is_rounding and may_decide
 
     def judge(self, trial: Trial) -> Trial:
         """Return the trial, where the state is, with ``is_accepted`` and Π if needed. Collective.
@@ -76,9 +76,9 @@ class StepTest:
         if np.isnan(trial.ratio):
             return trial
         is_within_bounds = -OVERSHOOT <= trial.ratio <= 1.0 + OVERSHOOT
-        if is_within_bounds and not self._decides:
+        if is_within_bounds and not self._potential_decides:
             return replace(trial, is_accepted=True)  # 1
-        if not self._has_potential:
+        if not self._uses_potential:
             return trial
         potential = self._system.potential()
         descends = potential <= self.potential + ARMIJO * trial.alpha * self._line.slope

@@ -202,7 +202,7 @@ class TangentCheck:
             is_displacement: Whether the unknown is a displacement, which the remedy depends on.
         """
         system = self._system
-        reason = failure.failure.reason
+        reason = failure.kind.reason
         has_no_direction = reason == Reason.DIVERGED_LINEAR_SOLVE and system.forms.has_given_tangent
         is_not_closer = reason in NOT_CLOSER and bool(history)
         if not self._is_done and (is_not_closer or has_no_direction):
@@ -214,7 +214,7 @@ class TangentCheck:
         if self.has_wrong_sign:
             reason = Reason.DIVERGED_LINE_SEARCH
         remedy = failure.remedy(is_displacement=is_displacement)
-        outcome = Outcome(reason, f"{failure.cause}: {remedy}", failure.failure.error)
+        outcome = Outcome(reason, f"{failure.cause}: {remedy}", failure.kind.error)
         if reason not in NOT_CLOSER:
             return outcome
         if self.findings:
