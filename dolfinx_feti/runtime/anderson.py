@@ -56,9 +56,8 @@ class Anderson:
             F: Its residual g(U) − U, (n,).
         """
         self._iterates = [*self._iterates[-DEPTH:], (U.copy(), F.copy())]  # DEPTH differences
-        changes_of_U, changes_of_F = (
-            np.diff(vectors, axis=0) for vectors in zip(*self._iterates, strict=True)
-        )
+        changes_of_U = np.diff([iterate for iterate, _ in self._iterates], axis=0)  # (Δ𝓤)ᵀ
+        changes_of_F = np.diff([residual for _, residual in self._iterates], axis=0)  # (Δ𝓕)ᵀ
         owned = changes_of_F[:, : self._n_owned]  # (differences, n_owned)
         A = self._comm.allreduce(owned @ owned.T)  # Δ𝓕ᵀ Δ𝓕
         b = self._comm.allreduce(owned @ F[: self._n_owned])  # Δ𝓕ᵀ F

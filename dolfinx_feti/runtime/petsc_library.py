@@ -119,7 +119,7 @@ def _row_views(K: PETSc.Mat, access: _RowAccess) -> Iterator[CSRMatrix]:
     indptr_address = ctypes.POINTER(ctypes.c_int)()
     indices_address = ctypes.POINTER(ctypes.c_int)()
     values_address = ctypes.POINTER(ctypes.c_double)()
-    results = map(ctypes.byref, (n, indptr_address, indices_address, is_done))
+    results = [ctypes.byref(result) for result in (n, indptr_address, indices_address, is_done)]
     arguments = (K.handle, 0, 0, 0, *results)  # no shift, not symmetrised, not by inodes
     if access.get_rows(*arguments) or not is_done.value:
         raise _not_seqaij(K)

@@ -86,11 +86,12 @@ def _changed(keys: Sequence[str], values: Mapping[str, object]) -> Iterator[None
     database = PETSc.Options()
     before = database.getAll()
 
-    def set_options(values: Mapping[str, object]) -> None:
+    def set_options(new_values: Mapping[str, object]) -> None:
         for key in keys:
             database.delValue(key)
-            if key in values:
-                database.setValue(key, "" if values[key] is None else values[key])
+            if key in new_values:
+                value = new_values[key]
+                database.setValue(key, "" if value is None else value)
 
     set_options(values)
     try:

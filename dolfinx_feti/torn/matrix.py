@@ -401,8 +401,11 @@ class Torn:
             SetUpError: No near kernel is attached, and the block size is larger than one.
         """
         space = self.A.getNearNullSpace()
-        modes = [self.tear(mode.array_r) for mode in space.getVecs()] if space.handle else []
-        modes += [np.ones(self.n)] if space.handle and space.hasConstant() else []
+        modes: list[Array] = []
+        if space.handle:
+            modes += [self.tear(mode.array_r) for mode in space.getVecs()]
+            if space.hasConstant():
+                modes.append(np.ones(self.n))
         if not modes and self.A.getBlockSize() > 1:
             raise SetUpError(
                 "The torn matrix has no near kernel, and for a block size of "

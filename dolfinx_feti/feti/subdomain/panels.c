@@ -19,12 +19,12 @@ void panels_premultiply(const panels *W, const double *S, double *Y, double *wor
     int n = W->n;
     double *values = (double *)W->values; // BLAS reads them, but takes pointers without const
     for (int p = 0; p < W->count; ++p) {
-        const int *const row = W->rows + W->starts[p];
+        const int *const rows = W->rows + W->starts[p];
         int m = W->starts[p + 1] - W->starts[p]; // rows of the panel
         int k = W->widths[p];                    // its columns
         if (m && k) {
             for (int i = 0; i < m; ++i) {
-                memcpy(work + (size_t)n * i, S + (size_t)n * row[i], sizeof(double) * n);
+                memcpy(work + (size_t)n * i, S + (size_t)n * rows[i], sizeof(double) * n);
             }
             gemm("N", "T", &n, &k, &m, &one, work, &n, values, &k, &zero, Y, &n); // S[:, r_p] W_p
         } else {
@@ -54,7 +54,7 @@ void panels_multiply_transposed(const panels *W, int r, const double *Y, double 
     double *values = (double *)W->values; // BLAS reads them, but takes pointers without const
     int begin = 0;                        // first row of X of the panel
     for (int p = 0; p < W->count; ++p) {
-        const int *const row = W->rows + W->starts[p];
+        const int *const rows = W->rows + W->starts[p];
         int m = W->starts[p + 1] - W->starts[p]; // rows of the panel
         int k = W->widths[p];                    // its columns, which are rows of X
         const int end = begin + k;
@@ -62,7 +62,7 @@ void panels_multiply_transposed(const panels *W, int r, const double *Y, double 
         double *const X_p = X + (size_t)r * begin;
         if (m && k && columns) {
             for (int j = 0; j < columns; ++j) {
-                for (int i = 0; i < m; ++i) work[(size_t)m * j + i] = Y[(size_t)W->n * j + row[i]];
+                for (int i = 0; i < m; ++i) work[(size_t)m * j + i] = Y[(size_t)W->n * j + rows[i]];
             }
             // (W_p)ᵀ Y[r_p, :]
             gemm("T", "T", &columns, &k, &m, &one, work, &m, values, &k, &zero, X_p, &r);

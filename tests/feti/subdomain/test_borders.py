@@ -19,6 +19,7 @@ from dolfinx_feti.feti.primal.assembled_product import SharedBlock, add_block, l
 from dolfinx_feti.feti.subdomain.factors.multifrontal import Fronts, load_fronts
 from dolfinx_feti.feti.subdomain.factors.packed import TILE, PackedMatrix
 from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace, pack
+from dolfinx_feti.feti.subdomain.failures import RemediedFactorError
 from dolfinx_feti.feti.subdomain.panels import Panels, load_panels, rows_product
 from dolfinx_feti.runtime.petsc_library import CSRMatrix
 
@@ -140,7 +141,7 @@ REFUSED = [
     (analyse, FactorError, INVALID, {"adjacent": [[2, 0], [-1, 0]], "size": [[1, 0]]}),
     (analyse, FactorError, INVALID, {"order": [[1, 1], [0, 2], [0, -1], [0, 1, 1]]}),
     # more than 2³¹ dofs, or 2⁶⁰ entries, are refused before memory is asked for
-    (analyse, FactorError, "too large .* more subdomains", {"size": TOO_LARGE}),
+    (analyse, RemediedFactorError, "too large .* more subdomains", {"size": TOO_LARGE}),
 ]
 
 
@@ -159,7 +160,7 @@ def test_fronts_refuse_matrices_of_another_pattern(name):
     """An array that is too short is found before it is read."""
     K = path_matrix()
     shorter = K._replace(**{name: getattr(K, name)[:-1]})
-    with raises(FactorError, "pattern of the matrix has changed"):
+    with raises(RemediedFactorError, "pattern of the matrix has changed"):
         create_path_fronts().factor(shorter, WorkSpace())
 
 

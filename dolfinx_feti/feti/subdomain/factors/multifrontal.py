@@ -28,6 +28,7 @@ from dolfinx_feti.errors import FactorError
 from dolfinx_feti.feti.subdomain.factors.nested_dissection import nested_dissection
 from dolfinx_feti.feti.subdomain.factors.protocol import FactorInertia, destroyed_error
 from dolfinx_feti.feti.subdomain.factors.work_space import WorkSpace
+from dolfinx_feti.feti.subdomain.failures import RemediedFactorError
 from dolfinx_feti.runtime.arrays import Array, Indices, Mask
 from dolfinx_feti.runtime.collective import on_all
 from dolfinx_feti.runtime.native import address_of, load_with_header, pointer
@@ -85,18 +86,18 @@ class FrontCode:
 
         Returns:
             A MemoryError if there is no memory for the integers of the analysis or the
-            factorisation; otherwise a FactorError.
+            factorisation; otherwise a FactorError, with a remedy if there is one.
         """
         if status == self.lib.NO_MEMORY:
             return MemoryError("no memory for the fronts of a subdomain")
         if status == self.lib.TOO_LARGE:
-            return FactorError(
+            return RemediedFactorError(
                 "the subdomain is too large for 32-bit indices: take more subdomains"
             )
         if status == self.lib.INVALID:
             return FactorError("the graph of the subdomain, or the order of its nodes, is invalid")
         if status == self.lib.NEW_PATTERN:
-            return FactorError(
+            return RemediedFactorError(
                 "the pattern of the matrix has changed since it was analysed: create a new solver"
             )
         return FactorError(f"the multifrontal code returned the unknown status {status}")

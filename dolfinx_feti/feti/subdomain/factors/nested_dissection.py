@@ -94,7 +94,7 @@ def _metis_order(ptr: Numbers, adjacent: Indices) -> Indices | None:
     n = np.array([len(ptr) - 1], dtype=integer)
     begin = ptr.astype(integer)
     neighbours = adjacent.astype(integer)
-    order, rank = np.empty((2, len(ptr) - 1), dtype=integer)  # a permutation and its inverse
+    order, inverse = np.empty((2, len(ptr) - 1), dtype=integer)  # a permutation and its inverse
     status = node_nd(
         n.ctypes.data,
         begin.ctypes.data,
@@ -102,7 +102,7 @@ def _metis_order(ptr: Numbers, adjacent: Indices) -> Indices | None:
         None,  # weights of the nodes
         None,  # default options
         order.ctypes.data,
-        rank.ctypes.data,
+        inverse.ctypes.data,
     )
     is_permutation = status == METIS_OK and np.array_equal(np.sort(order), np.arange(len(order)))
     return order.astype(np.int32) if is_permutation else None

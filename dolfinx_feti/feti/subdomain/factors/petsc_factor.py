@@ -35,6 +35,7 @@ from dolfinx_feti.feti.subdomain.factors.protocol import (
     destroyed_error,
 )
 from dolfinx_feti.runtime.arrays import Array, Indices
+from dolfinx_feti.runtime.lifetime import Lifetime
 
 
 class PetscFactor:
@@ -77,16 +78,14 @@ class PetscFactor:
             return np.zeros(Y.shape)
         padded = np.zeros((self._n + self._n_border, Y.shape[1]), order="F")
         padded[: self._n] = Y
-        B = PETSc.Mat().createDense(padded.shape, array=padded, comm=PETSc.COMM_SELF)
-        X = PETSc.Mat().createDense(padded.shape, comm=PETSc.COMM_SELF)
-        X.setUp()
-        B.assemble()
-        X.assemble()
-        solve_columns(self._pc, B, X, transpose=transpose)
-        solution = X.getDenseArray()[: self._n].copy()
-        B.destroy()
-        X.destroy()
-        return solution
+        with Lifetime() as owned:
+            B = owned.own(PETSc.Mat().createDense(padded.shape, array=padded, comm=PETSc.COMM_SELF))
+            X = owned.own(PETSc.Mat().createDense(padded.shape, comm=PETSc.COMM_SELF))
+            X.setUp()
+            B.assemble()
+            X.assemble()
+            solve_columns(self._pc, B, X, transpose=transpose)
+            return X.getDenseArray()[: self._n].copy()
 
     def _solve_one(self, y: Array, *, transpose: bool) -> Array:
         """Return K_ρ⁻¹ y, or K_ρ⁻ᵀ y, (n_i,)."""

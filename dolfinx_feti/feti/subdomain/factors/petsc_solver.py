@@ -35,13 +35,12 @@ MORE_WORK_SPACE = "raise -{}mat_mumps_icntl_14, the work space in percent"
 FACTORS_ON_DISK = "set -{}mat_mumps_icntl_22 1, which stores factors on disk"
 HIGHER_LIMIT = "raise -{}mat_mumps_icntl_23, the limit in MB, or leave it out"
 
+#: Errors INFOG(1) of MUMPS after which it may succeed with more work space.
+WORK_SPACE_ERRORS = (-8, -9, -14, -17, -20)
+
 #: Remedies for the errors INFOG(1) of MUMPS that concern memory.
 MEMORY_REMEDIES = {
-    -8: MORE_WORK_SPACE,
-    -9: MORE_WORK_SPACE,
-    -14: MORE_WORK_SPACE,
-    -17: MORE_WORK_SPACE,
-    -20: MORE_WORK_SPACE,
+    **dict.fromkeys(WORK_SPACE_ERRORS, MORE_WORK_SPACE),
     -5: FACTORS_ON_DISK,
     -7: FACTORS_ON_DISK,
     -13: FACTORS_ON_DISK,
@@ -168,9 +167,8 @@ def _failure_of(solver: PETSc.PC | PETSc.KSP) -> _Failure | None:
         reason = pc.getFailedReason()
         if not reason:
             return None
-        remedy = _memory_remedy(pc)
-        is_out_of_memory = bool(remedy) or reason == FailedReason.FACTOR_OUTMEMORY
-        needs_work_space = remedy == MORE_WORK_SPACE  # by the table of INFOG(1)
+        is_out_of_memory = bool(_memory_remedy(pc)) or reason == FailedReason.FACTOR_OUTMEMORY
+        needs_work_space = _mumps_error(pc) in WORK_SPACE_ERRORS
         return _Failure(failure_message(pc), is_out_of_memory, needs_work_space)
     finally:
         if pc is not solver:
@@ -246,9 +244,12 @@ def failure_message(pc: PETSc.PC) -> str:
 
 def _memory_remedy(pc: PETSc.PC) -> str:
     """Return the remedy if MUMPS ran out of memory; an empty string after another failure."""
-    if not is_mumps(pc):
-        return ""
-    return MEMORY_REMEDIES.get(pc.getFactorMatrix().getMumpsInfog(1), "")
+    return MEMORY_REMEDIES.get(_mumps_error(pc), "")
+
+
+def _mumps_error(pc: PETSc.PC) -> int:
+    """Return the error INFOG(1) of MUMPS, which is negative; zero for another solver."""
+    return int(pc.getFactorMatrix().getMumpsInfog(1)) if is_mumps(pc) else 0
 
 
 def inertia_of(pc: PETSc.PC) -> FactorInertia:
