@@ -235,7 +235,8 @@ class SolverCache:
     def _set_up(self, pattern: Pattern) -> None:
         """Set up the formulation of the present matrix, if possible with the last preconditioner.
 
-        If that raises a SetUpError, a new preconditioner is built; not for a singular matrix.
+        If that fails, a new preconditioner is built. A SingularError is raised at once, because no
+        preconditioner helps.
         """
         require_valid_matrix(pattern.torn)
         preconditioner = self._reusable_preconditioner()

@@ -17,7 +17,8 @@ from petsc4py import PETSc
 from dolfinx_feti.feti.subsolver_options import COARSE_PREFIX, DUAL_PREFIX
 
 #: Krylov methods of the dual form. PETSc's other ones need transposed products, do not give access
-#: to the iterate in each iteration, or were not tested against a direct solver.
+#: to the iterate in each iteration, or were not tested against a direct solver. ``dual.krylov``
+#: runs them: its head says what a new one needs.
 DUAL_METHODS = ("cg", "fcg", "groppcg", "pipecg", "cr", "minres", "gmres", "fgmres")
 
 

@@ -155,7 +155,8 @@ def excludes_primal(options: FETIOptions, subsolvers: SubsolverOptions) -> bool:
 
     Only the primal formulation solves with such a matrix. These options are the name of the dual
     formulation, another preconditioner, and the type or tolerances of the dual Krylov method. Other
-    options of the dual formulation, such as Q, are ignored for an unsymmetric matrix.
+    options that select the dual formulation for a symmetric matrix (:func:`requests_dual`), Q and
+    the rest of ``feti_dual_…``, are ignored for an unsymmetric one.
     """
     if options.formulation != "auto":
         return options.formulation == "dual"

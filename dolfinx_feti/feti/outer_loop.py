@@ -72,10 +72,11 @@ FRESH_START_FACTOR = 0.5
 #: just below its target takes a fresh start; half of it takes an iteration more.
 TARGET_FACTOR = 0.7
 
-#: Largest ‖r‖ for a fresh start if the Krylov method does not measure η, relative to the ‖r‖ at
-#: which η would meet its tolerance if it fell in proportion. The target is TARGET_FACTOR times as
-#: large, as in each start. With 1, η may miss its tolerance by 10 %, and a further start follows;
-#: with 0.1 the Krylov method takes an iteration more.
+#: Margin for a fresh start whose Krylov method does not measure η. If η fell in proportion to ‖r‖,
+#: it would meet its tolerance at a certain ‖r‖: the tolerance of ‖r‖ in this start is this share of
+#: that norm. The target of the method is TARGET_FACTOR times the tolerance, as in each start. With
+#: a share of 1, η may miss its tolerance by 10 %, and a further start follows; with 0.1 the Krylov
+#: method takes an iteration more.
 PROPORTIONAL_TARGET = 0.4
 
 #: Multiple of its estimated rounding errors up to which a residual counts as rounding. The estimate

@@ -37,6 +37,9 @@ from dolfinx_feti.torn.matrix import Torn
 class Pattern:
     """The symbolic part of the method. It serves all matrices with this pattern and symmetry.
 
+    Two attributes are more than symbolic: ``torn`` has the values of the present matrix, and
+    ``errors`` those of the present set-up or solve.
+
     Attributes:
         options: Options of the solver, with which all other parts are set up.
         subsolvers: Options of its sub-solvers.
@@ -189,8 +192,8 @@ def _require_primal(options: FETIOptions, subsolvers: SubsolverOptions) -> None:
 def torn_symmetric_part(torn: Torn) -> Iterator[Torn]:
     """Return a context with a torn matrix in which ½ (K + Kᵀ) replaces K. Collective.
 
-    It serves only within the context. Its subdomains are the same, as ½ (K + Kᵀ) couples the dofs
-    that K couples.
+    The torn matrix is valid only within the context. Its subdomains are the same, as ½ (K + Kᵀ)
+    couples the dofs that K couples.
     """
     K = torn.K.copy()
     transposed = torn.K.transpose(PETSc.Mat())

@@ -5,7 +5,7 @@
 
 PETSc reads the same options, and all others, when it sets up a sub-solver. Words are read here
 without being marked as used in PETSc's database: if a sub-solver is never created, its options are
-reported as unread. Numbers are marked.
+reported as unread. Numbers are marked as used here, so that they are never reported.
 """
 
 from __future__ import annotations

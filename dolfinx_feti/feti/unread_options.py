@@ -86,6 +86,7 @@ def warn_of_unread(prefix: str, unread: Mapping[str, str], comm: MPI.Comm) -> No
     Args:
         prefix: Prefix of the solver.
         unread: Options that nothing has read on this process, without prefix, and their values.
+            Those that another process has read are not logged.
         comm: Processes of the solver.
     """
     per_process = comm.allgather(dict(unread))

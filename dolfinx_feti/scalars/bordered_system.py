@@ -23,9 +23,9 @@ from dolfinx_feti.torn.matrix import read_dirichlet_mask
 
 __all__ = ["FIRST_RTOL", "BorderedSystem", "create_bordered_system", "norms_of_columns"]
 
-#: Relative residual ‖B_k − A X_k‖/‖B_k‖ up to which a column of an earlier matrix's X is first
-#: corrected. It is a rough start on purpose: the s that follows from it determines how accurate X
-#: has to be. It is also the largest residual that any s allows. A choice, not measured.
+#: Largest relative residual ‖B_k − A X_k‖/‖B_k‖ of a column, however small s_k is. The columns that
+#: are left from an earlier matrix are first corrected up to it: the s that follows determines how
+#: accurate each of them has to be. A choice, not measured.
 FIRST_RTOL = 1e-2
 
 

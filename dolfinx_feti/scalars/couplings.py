@@ -25,6 +25,8 @@ def check_couplings(
 ) -> tuple[Coupling, ...]:
     """Check the couplings of a problem, with its conditions and among each other. Collective.
 
+    A new kind of coupling with a cavity has to be added to ``cavities`` below.
+
     Args:
         scalars: The couplings.
         bcs: Dirichlet conditions of the problem.
@@ -76,7 +78,8 @@ def refuse_condensed_fields(
         ValueError: An equation contains both.
     """
     for field, residual in zip(fields, residuals, strict=True):
-        # Expanded, because works of scalars vanish when they are differentiated by the field.
+        # Expanded, because a residual that is the derivative of an energy by the field contains the
+        # terms with scalars as unevaluated derivatives, which are zero.
         F_p = ufl.algorithms.expand_derivatives(residual)
         for i, coupling in enumerate(couplings):
             equation = coupling.equation

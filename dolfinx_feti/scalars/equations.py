@@ -34,7 +34,7 @@ class Coupling:
 
     Attributes:
         functions: Functions that :meth:`accept` changes, which paths restore after a failed step.
-            They restore all Constants of the forms without a list.
+            Constants need no list: paths restore all Constants of the forms.
     """
 
     functions: Sequence[dolfinx.fem.Function] = ()

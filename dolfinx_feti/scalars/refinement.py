@@ -83,7 +83,7 @@ def refine(
         has_gained = η <= REFINEMENT_GAIN * best.error_estimate
         if η < best.error_estimate:
             best = Refined(x, s, η, error_tolerance)
-        if not η > error_tolerance or not has_gained:
+        if not η > error_tolerance or not has_gained:  # ends also if η is nan
             break
         try:
             y = solver.solve_to(r, rtol=error_tolerance / η, atol=0.0)
@@ -105,6 +105,6 @@ def _error_tolerance(solver: MatrixSolver, system: BorderedSystem, s: Array) -> 
         system: The bordered system.
         s: Scalars that the absolute tolerance is relative to, (m,).
     """
-    scale = system.scale(s) or np.inf
+    scale = system.scale(s) or np.inf  # without a load, rtol alone counts
     tolerance = max(solver.rtol, solver.atol / scale)
     return solver.feti.settings.loosen(tolerance, len(system.b))

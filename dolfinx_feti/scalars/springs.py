@@ -76,10 +76,10 @@ class PointSprings:
     def added_to(self, A: PETSc.Mat) -> Iterator[None]:
         """Return a context in which the diagonal of a matrix has the springs.
 
-        A FETI solver sets up a matrix again if its PETSc state, a count of changes, has increased.
-        Adding springs increases it. If the matrix has not changed since the springs were last
-        removed, its entries with springs are those of the last context: it gets the state of that
-        context, and the solver keeps its factors.
+        A FETI solver sets up a matrix again if its PETSc state, a count of changes, is another one
+        than before. Adding springs increases the count. If the matrix does not change between two
+        contexts, its entries are the same in both, though. The second one then gets the state of
+        the first, so that the solver keeps its factors.
         """
         K = A.getISLocalMat()
         if not self.count:

@@ -105,7 +105,7 @@ class Windkessel(Coupling):
 
     def accept(self) -> None:
         """Store the present state as the last one. Collective."""
-        _, V_n, _, p_n, _ = self.history.value
+        _, V_n, _, p_n, _ = self.history.value  # p_n is p_{c,n}
         volume = self.cavity.present_volume()
         flow = self.outflow(volume)
         p_c = float(self.cavity.pressure.value) - self._Z * flow  # p_c = p − Z Q

@@ -18,6 +18,10 @@ the preconditioned jump.
 Before an estimate ends a solve, ‖Tᵀ t‖ is measured: computed for the true residual. This also
 corrects the estimate, and is repeated every :data:`MEASURING_INTERVAL` iterations.
 
+Another method of PETSc's is one more name in ``option_checks.DUAL_METHODS`` and in
+docs/petsc_options.md. If it works like CG or GMRES, it is also one in :data:`UNPIPELINED_CG` or
+:data:`GMRES_METHODS`. ``tests/feti/dual/test_krylov.py`` runs all methods.
+
 A *run* is one call of PETSc's method. It ends without convergence, for a fresh start, if ‖Tᵀ t‖
 stagnates, if the residual that the method updates departs from the true one, or after
 :data:`MAX_ITERATIONS_OF_RUN` iterations.
@@ -243,7 +247,8 @@ class ResidualEstimate:
     A measurement of ‖Tᵀ t‖ replaces the ratio by the measured one.
 
     Attributes:
-        preconditions_residual: Whether the method preconditions its residual just before each test.
+        preconditions_residual: Whether the method preconditions its residual just before each test,
+            so that ``DualShell.preconditioned_norm`` is that of the residual under test.
     """
 
     def __init__(self, shell: DualShell, *, preconditions_residual: bool, initial: float) -> None:
@@ -339,11 +344,14 @@ class StoppingTest:
         with garbage_collection_resumed(ksp):
             reason = self._reason(ksp, its, rnorm)
         if self.needs_fresh_start:
-            return Reason.CONVERGED_ITS  # any reason that ends the run; ``solve`` replaces it
+            return Reason.CONVERGED_ITS  # any reason that ends the run; ``_outcome`` replaces it
         return reason
 
     def _reason(self, ksp: PETSc.KSP, its: int, rnorm: float) -> int:
-        """Return the converged reason, and set ``needs_fresh_start``. Collective."""
+        """Return the converged reason, and set ``needs_fresh_start``. Collective.
+
+        If ``needs_fresh_start`` is True, the caller ends the run whatever the reason is.
+        """
         norm = self._estimate.update(its, rnorm)
         if not (np.isfinite(rnorm) and np.isfinite(norm)):
             self._monitor(its, norm)

@@ -96,9 +96,10 @@ class DualSystem:
             inverse: K⁺.
             preconditioner: M.
             coarse: Coarse problem: E, G, D, Q and the factored N.
-            is_cg: Whether the Krylov method is CG or FCG. They do not depend on s: their scalar
-                products are those of λ alone. On the jump grids (``dual/__init__``), Q = diag(q),
-                they take 4 % more iterations with s in z, and FCG up to 2.3 times as many.
+            is_cg: Whether the Krylov method is CG or FCG, and not a pipelined one. These two do not
+                depend on s: their scalar products are those of λ alone. On the jump grids
+                (``dual/__init__``), Q = diag(q), they take 4 % more iterations with s in z, and FCG
+                up to 2.3 times as many.
         """
         self.inverse = inverse
         self.preconditioner = preconditioner

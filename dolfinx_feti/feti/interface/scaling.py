@@ -7,7 +7,8 @@ r"""Scalings: the weights δ of the copies of each dof, in averages and in :math
 
 with the stiffness k of each copy. To use other numbers k for one matrix, pass them as ``stiffness``
 to ``create_torn_matrix``. A new scaling is a function of the torn matrix, with the contract of
-:data:`Scaling`, and an entry in :data:`SCALINGS`. Two kinds need more:
+:data:`Scaling`, an entry in :data:`SCALINGS`, and a word in docs/options.md.
+``tests/feti/interface/test_gluing.py`` checks that its weights sum up to one. Two kinds need more:
 
 * Weights from the Schur complements S need another argument, since a scaling has K alone.
 * Averages by matrices, as in deluxe scaling, also need other averages in ``copies`` and other

@@ -10,7 +10,7 @@ problem contains M. Equations "(eq. 46)" are those of Augustin, Holzapfel, Stein
 M⁻¹ for M.
 
 A new preconditioner is a file like ``lumped``, a line in ``registry``, and its place in the order
-below.
+below. The head of ``registry`` lists what else it needs.
 
 In the order of the data: base, dirichlet, lumped, identity, registry.
 """

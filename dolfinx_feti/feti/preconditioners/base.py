@@ -126,8 +126,8 @@ class Preconditioner(ABC):
     def unbalanced_force(self, w: Array, Yw: Array) -> Array:
         """Return the unbalanced force t = K E_Γ w, (n,).
 
-        It is S w if the interior is eliminated, since E_Γ is harmonic then, and K w if it is kept,
-        since :meth:`extend` extends by zero.
+        If the interior is kept, it is K w, since :meth:`extend` extends by zero. If the interior is
+        eliminated, it is S w: the interior values follow from a harmonic extension then.
 
         Args:
             w: Displacement B_Dᵀ r, zero off the interface, (n,).
@@ -141,7 +141,8 @@ class Preconditioner(ABC):
     def extend(self, w: Array) -> Array:
         """Extend an interface displacement to the interior by zero, E_Γ w = w, (n,).
 
-        If the interior is eliminated, the caller extends the result harmonically.
+        If the interior is eliminated, the interior values are not used: at the end of a
+        solve, ``DualFormulation`` computes them from those on the interface, harmonically.
 
         Args:
             w: Displacement, zero off the interface, (n,).
