@@ -304,4 +304,6 @@ def test_single_subdomains_may_resist_the_null_space(
         agree("Single subdomains resist the null space of A" in message, message)
         return
     agree(reason > 0, message)
+    if share > 1e-3:
+        agree(ksp.getIterationNumber() <= 20)  # no soft field that mixes with Z is deflated
     equal(x, np.linalg.pinv(problem.matrix, rcond=1e-11) @ b, TOLERANCE)

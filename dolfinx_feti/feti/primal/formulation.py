@@ -374,12 +374,16 @@ def _first_vectors(
     one, and there is nothing to deflate.
 
     Returns:
-        W and M⁻¹ W; None if no subdomain is softened, if A₀ is not symmetric or not definite, or
-        if the options switch deflation off.
+        W and M⁻¹ W; None if no subdomain is softened, if A₀ is not symmetric or not definite, if a
+        null space is attached, or if the options switch deflation off. The fields of a null space,
+        of zero energy, would hide the soft ones, and deflating them costs iterations: 112 in place
+        of 9 for springs that single subdomains, but not their sum, have.
     """
     count = pattern.options.deflation
     inverse = preconditioner.inverse
     if not pattern.is_symmetric or coarse.negative_eigenvalues or not count:
+        return None
+    if read_null_space(pattern.torn).size:
         return None
     if not _is_softened(inverse, pattern.torn.comm):
         return None
