@@ -21,7 +21,7 @@ class LoadStep:
     """An accepted load step.
 
     Attributes:
-        load: The load that was reached; the time [s] of a time step.
+        load: The load that was reached; in a :class:`TimeStep` the time [s].
         increment: Load minus the load before; negative if the load has turned back.
         history: Cost of each Newton step.
         failures: Number of failed attempts with longer increments.

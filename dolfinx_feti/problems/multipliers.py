@@ -25,7 +25,7 @@ class MultiplierUpdates(Protocol):
     def end_solve(self) -> bool:
         """Measure the violation in the state just solved for; return True if it is small.
 
-        λ may become the pressure of that state, which stays in equilibrium with it. Collective.
+        λ may be set to the pressure of that state, which stays in equilibrium. Collective.
         """
 
     def update(self) -> None:

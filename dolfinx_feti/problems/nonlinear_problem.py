@@ -494,9 +494,9 @@ class NonlinearProblem(TornProblem):
     def _run_with_multipliers(self, start: Start) -> None:
         """Iterate by Newton's method and update the multipliers, in turn, up to their tolerances.
 
-        With multipliers of the volume alone, Newton solves end as intermediate ones; the one whose
-        state meets the solver's own tolerances is the last. Multipliers of a contact are updated in
-        equilibrium: only there is it known which points touch.
+        With multipliers of the volume alone, each Newton solve may end before the solver's own
+        tolerances are met (``Start.is_intermediate``), except the last one. Multipliers of a
+        contact are updated in equilibrium: only there is it known which points touch.
         """
         self._contacts.fit_multipliers()
         reference_norm = min(self.residual_norm(), start.reference_norm)  # with λ = p
@@ -725,7 +725,7 @@ def _create_cell_check(
 def _with_volume_ratio(
     forms: Forms, volume_ratio: Expr | None, quadrature_degree: int | None
 ) -> Forms:
-    """Return forms with their volume ratio, and the degree of the points where it is watched.
+    """Return forms with their volume ratio, and the degree of the points where it is evaluated.
 
     Args:
         forms: The forms.

@@ -3,11 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""When Newton's method has converged, by the residual (docs/theory.md).
 
-.. math:: \|r\| ≤ \max(\texttt{snes\_rtol}\, \max(\|r^0\|, \|f\|/10),\; \texttt{snes\_atol})
+.. math:: \|r\| ≤ \max(\texttt{snes\_rtol}\, \max(\|r^0\|, \|R\|/10),\; \texttt{snes\_atol})
 
 over the free dofs, once all constraints are satisfied (Dirichlet values and scalar equations). A
 solve for a new load starts with a residual r⁰ of the size of that load. A solve for a prescribed
-displacement starts without such a residual. Its residuals are compared with the reactions f, the
+displacement starts without such a residual. Its residuals are compared with the reactions R, the
 forces that supports, scalars or contacts exert.
 """
 
@@ -65,11 +65,11 @@ class ConvergenceTest:
         self._load = float(np.fmin(first.norm, start.reference_norm))
 
     def reference_force(self, iterate: Iterate) -> float:
-        """Return the force that the relative tolerance refers to, max(‖r⁰‖, share · ‖f‖).
+        """Return the force that the relative tolerance refers to, max(‖r⁰‖, share · ‖R‖).
 
         The share is a tenth if a prescribed displacement moves. If none does, a relative tolerance
-        that is looser than the default is meant as a share of ‖r⁰‖: the share of ‖f‖ then shrinks
-        in proportion, so that rtol · share · ‖f‖ keeps its default value.
+        that is looser than the default is meant as a share of ‖r⁰‖: the share of ‖R‖ then shrinks
+        in proportion, so that rtol · share · ‖R‖ keeps its default value.
         """
         rtol = relative_tolerance(self._snes)
         share = REACTION_SHARE

@@ -45,9 +45,9 @@ class Failure:
 
     Attributes:
         reason: PETSc's converged reason.
-        cause: First part of the message, with a place {1} for a detail.
-        remedy: Second part of the message, after a colon, with places {0} for one of the two
-            remedies above and {1} for a detail.
+        cause: First part of the message, perhaps with a place {1} for a detail of this failure.
+        remedy: Second part of the message, after a colon, perhaps with places {0} for one of the
+            two remedies above, by the kind of unknown, and {1} for the detail.
         error: Class of the error that the problem raises; a path decides by it what to try next.
     """
 
