@@ -42,8 +42,8 @@ from dolfinx_feti.text_tables import Cell, json_value, text_table
 
 __all__ = ["Comparison", "SolverResult", "compare"]
 
-#: Heads of the columns of the table, in the order of ``_row``; the last column has notes.
-HEAD = (
+#: Headings of the columns of the table; that of the notes has none.
+HEADINGS = (
     "solver",
     "iterations",
     "set-up [s]",
@@ -139,31 +139,40 @@ class Comparison:
 
     def __str__(self) -> str:
         """Return the table, and a line for each omitted solver."""
+        rows = []
+        for result in self.results:
+            cells = _cells(result)
+            rows.append([cells[heading] for heading in HEADINGS])
         lines = [
             f"{self.dofs} dofs, {self.subdomains} subdomains, {self.processes} process(es), "
             f"relative tolerance {self.rtol:g}",
-            text_table(HEAD, [_row(s) for s in self.results]),
+            text_table(HEADINGS, rows),
         ]
         lines += [f"left out: {name}, {reason}" for name, reason in self.left_out]
         return "\n".join(lines)
 
 
-def _row(result: SolverResult) -> list[Cell]:
-    """Return a row of the table."""
+def _cells(result: SolverResult) -> dict[str, Cell]:
+    """Return the cells of a row of the table by the headings of their columns."""
     cost = result.cost
-    row: list[Cell] = [result.solver]
-    if cost is None:
-        row += [None, None, None, None]
-    else:
-        row.append(cost.iterations)
-        row.append(_seconds(cost.seconds_setup, "set-up [s]"))
-        row.append(_seconds(cost.seconds_solve, "solve [s]"))
-        row.append(round(cost.peak_mib) if math.isfinite(cost.peak_mib) else None)
-    row.append(_power_of_ten(result.relative_residual))
-    row.append(_power_of_ten(result.error_estimate))
-    row.append(_power_of_ten(result.difference_to_direct))
-    row.append(result.note)
-    return row
+    cells: dict[str, Cell] = {
+        "solver": result.solver,
+        "iterations": None,
+        "set-up [s]": None,
+        "solve [s]": None,
+        "memory [MiB]": None,
+        "residual": _power_of_ten(result.relative_residual),
+        "estimate": _power_of_ten(result.error_estimate),
+        "difference": _power_of_ten(result.difference_to_direct),
+        "": result.note,
+    }
+    if cost is not None:
+        cells["iterations"] = cost.iterations
+        cells["set-up [s]"] = _seconds(cost.seconds_setup, "set-up [s]")
+        cells["solve [s]"] = _seconds(cost.seconds_solve, "solve [s]")
+        if math.isfinite(cost.peak_mib):
+            cells["memory [MiB]"] = round(cost.peak_mib)
+    return cells
 
 
 def _seconds(value: float, heading: str) -> str:

@@ -14,7 +14,8 @@ weights: the weight of a cell K is its volume times the number of paths K – w 
 vertex to cell to v. With the incidence A of vertices and cells, these numbers are A Aᵀ A.
 
 A fit smooths the field. Sweeps f* ← f* + R(f − f*) put back what it has smoothed away. The data are
-values inside the cells, or means over them with the centroid for x (docs/stresses.md).
+values inside the cells (:class:`FitToValues`), or means over them with the centroid for x
+(:class:`FitToMeans`; docs/stresses.md).
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.compat import geometry_dofmap, interpolation_points
 
-__all__ = ["Patches", "create_patches", "moments", "recover"]
+__all__ = ["FitToMeans", "FitToValues", "Patches", "create_patches", "moments"]
 
 #: Number of cells whose values at the quadrature points are in memory at once: a memory bound, some
 #: 3 MiB for a stress at 11 points in each cell.
@@ -171,112 +172,107 @@ def moments(expression: Expr, patches: Patches) -> Array:
     return means
 
 
-@dataclass(frozen=True, slots=True)
-class _Geometry:
-    """Positions of cells and patches.
+class FitToMeans:
+    """Linear functions fitted in each patch to means of a field over cells, each at its centroid.
 
-    Attributes:
-        edges: Jacobian dx/dξ of each cell, (n_c, d, d).
-        volumes: Volumes of the cells, (n_c, 1).
-        centroids: Centroids x of the cells, (n_c, d).
-        patch_volumes: Weights of the patches, positive, (n_v, 1).
-        centres: Means x̄_v of the position over the patches, (n_v, d).
-        inverses: cov(x, x)⁺ of the patches, (n_v, d, d).
+    Positions are those of the mesh when the object is created.
     """
 
-    edges: Array
-    volumes: Array
-    centroids: Array
-    patch_volumes: Array
-    centres: Array
-    inverses: Array
+    def __init__(self, patches: Patches) -> None:
+        """Compute the positions of cells and patches. Collective."""
+        mesh = patches.mesh
+        n_cells = len(patches.patches_of_cells)
+        dim = mesh.geometry.dim
+        x = np.asarray(mesh.geometry.x, dtype=np.float64)
+        self._patches = patches
+        self._corners = x[geometry_dofmap(mesh)[:n_cells], :dim]  # (n_c, d + 1, d)
+        first = self._corners[:, :1]
+        self._jacobians = np.swapaxes(self._corners[:, 1:] - first, 1, 2)  # dx/dξ, (n_c, d, d)
+        self._volumes = np.abs(np.linalg.det(self._jacobians))[:, None] / math.factorial(dim)
+        self._centroids = self._corners.mean(axis=1)
+        # means over the patches of 1, x and x xᵀ
+        second = self._centroids[:, :, None] * self._centroids[:, None] + self._variance_in_cells()
+        of_cells = np.column_stack(
+            [np.ones(n_cells), self._centroids, second.reshape(n_cells, dim**2)]
+        )
+        sums = patches.sum_over_patches(self._volumes * of_cells)
+        # a vertex may have no cell of a layer
+        self._patch_volumes = np.where(sums[:, :1] > 0, sums[:, :1], 1.0)
+        self._centres, second = np.split(sums[:, 1:] / self._patch_volumes, [dim], axis=1)
+        covariance = (
+            second.reshape(-1, dim, dim) - self._centres[:, :, None] * self._centres[:, None]
+        )
+        self._inverses = np.linalg.pinv(covariance, rcond=FLAT_PATCH_RTOL, hermitian=True)
+
+    def recover(self, data: Array, *, sweeps: int) -> Array:
+        """Return a field that is continuous in each layer, fitted to moments. Collective.
+
+        Args:
+            data: Moments of the field in each cell, from :func:`moments`, (n_c, 1 + d, components).
+            sweeps: Number of fits. Each one fits the remainder of those before it.
+
+        Returns:
+            Values at the nodes of the discontinuous quadratic element, (n_c, nodes, components).
+        """
+        patches = self._patches
+        space = dolfinx.fem.functionspace(patches.mesh, ("DG", 2))
+        nodes = interpolation_points(space)
+        φ = space.element.basix_element.tabulate(0, patches.points)[0, :, :, 0]
+        nodes_to_moments = patches.to_moments @ φ
+        hats = np.column_stack([1.0 - nodes.sum(axis=1), nodes])  # at the nodes, (nodes, d + 1)
+        x_nodes = hats @ self._corners
+        field = np.zeros((len(data), len(nodes), data.shape[2]))
+        for _ in range(sweeps):
+            mean, slope = self._fit(data - nodes_to_moments @ field)
+            # f* += Σ φ_v (m_v + G_v (x − x̄_v)) over the vertices v of each cell
+            for hat, v in zip(hats.T, patches.patches_of_cells.T, strict=True):
+                linear = mean[v] + (x_nodes - self._centres[v, None]) @ slope[v]
+                field += hat[:, None] * linear
+        return field
+
+    def _fit(self, data: Array) -> tuple[Array, Array]:
+        """Fit a linear function in each patch. Collective.
+
+        Args:
+            data: Moments of a field in each cell, (n_c, 1 + d, components).
+
+        Returns:
+            Means f̄_v, (n_v, 1, components), and slopes G_v, transposed, (n_v, d, components).
+        """
+        n_cells, n_moments, size = data.shape
+        products = self._centroids[:, :, None] * data[:, :1] + self._covariance_in_cells(data)
+        of_cells = np.concatenate([data[:, :1], products], axis=1)  # means of f and x f
+        weighted = self._volumes * of_cells.reshape(n_cells, n_moments * size)
+        sums = self._patches.sum_over_patches(weighted) / self._patch_volumes
+        of_patches = sums.reshape(-1, n_moments, size)
+        mean = of_patches[:, :1]
+        covariance = of_patches[:, 1:] - self._centres[:, :, None] * mean
+        return mean, self._inverses @ covariance  # cov(x, x)⁺ cov(x, f)
+
+    def _variance_in_cells(self) -> Array | float:
+        """Return cov(x, x) over each cell as the fit sees it, (n_c, d, d): zero for one point."""
+        return 0.0
+
+    def _covariance_in_cells(self, data: Array) -> Array | float:
+        """Return cov(x, f) over each cell as the fit sees it, (n_c, d, components).
+
+        Args:
+            data: Moments of the field in each cell, (n_c, 1 + d, components).
+        """
+        return 0.0
 
 
-def recover(patches: Patches, data: Array, *, by_means: bool, sweeps: int) -> Array:
-    """Fit a field that is continuous in each layer to moments of a field. Collective.
+class FitToValues(FitToMeans):
+    """Linear functions fitted in each patch to the values of a field inside the cells."""
 
-    Args:
-        patches: The patches.
-        data: Moments of the field in each cell, from :func:`moments`, (n_c, 1 + d, components).
-        by_means: Whether the means over the cells are fitted, each at its centroid, and not the
-            values inside them.
-        sweeps: Number of fits. Each one fits the remainder of those before it.
+    def _variance_in_cells(self) -> Array | float:
+        """Return cov(x, x) over each cell, (n_c, d, d)."""
+        in_reference = self._patches.to_moments[1:] @ self._patches.points  # cov(ξ, ξ)
+        return np.asarray(self._jacobians @ in_reference @ np.swapaxes(self._jacobians, 1, 2))
 
-    Returns:
-        Values at the nodes of the discontinuous quadratic element, (n_c, nodes, components).
-    """
-    mesh = patches.mesh
-    n_cells, _, size = data.shape
-    dim = mesh.geometry.dim
-    x = np.asarray(mesh.geometry.x, dtype=np.float64)
-    corners = x[geometry_dofmap(mesh)[:n_cells], :dim]
-    geometry = _geometry(patches, corners, by_means=by_means)
-    space = dolfinx.fem.functionspace(mesh, ("DG", 2))
-    nodes = interpolation_points(space)
-    φ = space.element.basix_element.tabulate(0, patches.points)[0, :, :, 0]
-    nodes_to_moments = patches.to_moments @ φ
-    hats = np.column_stack([1.0 - nodes.sum(axis=1), nodes])  # at the nodes, (nodes, d + 1)
-    x_nodes = hats @ corners
-    field = np.zeros((n_cells, len(nodes), size))
-    for _ in range(sweeps):
-        remainder = data - nodes_to_moments @ field
-        mean, slope = _fit(patches, geometry, remainder, by_means=by_means)
-        # f* += Σ φ_v (m_v + G_v (x − x̄_v)) over the vertices v of each cell
-        for hat, v in zip(hats.T, patches.patches_of_cells.T, strict=True):
-            linear = mean[v] + (x_nodes - geometry.centres[v, None]) @ slope[v]
-            field += hat[:, None] * linear
-    return field
-
-
-def _geometry(patches: Patches, corners: Array, *, by_means: bool) -> _Geometry:
-    """Compute positions of cells and patches. Collective.
-
-    Args:
-        patches: The patches.
-        corners: Vertices of the cells, (n_c, d + 1, d).
-        by_means: Whether each cell counts as one point, its centroid.
-    """
-    n_cells, _, dim = corners.shape
-    edges = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2)  # dx/dξ
-    volumes = np.abs(np.linalg.det(edges))[:, None] / math.factorial(dim)
-    x = corners.mean(axis=1)
-    second_moments = x[:, :, None] * x[:, None]
-    if not by_means:
-        within_cell = patches.to_moments[1:] @ patches.points
-        second_moments += edges @ within_cell @ np.swapaxes(edges, 1, 2)
-    of_cells = np.column_stack([np.ones(n_cells), x, second_moments.reshape(n_cells, dim**2)])
-    sums = patches.sum_over_patches(volumes * of_cells)
-    patch_volumes = np.where(sums[:, :1] > 0, sums[:, :1], 1.0)  # a vertex may lack a layer's cells
-    centres, second_moments = np.split(sums[:, 1:] / patch_volumes, [dim], axis=1)
-    covariance = second_moments.reshape(-1, dim, dim) - centres[:, :, None] * centres[:, None]
-    inverses = np.linalg.pinv(covariance, rcond=FLAT_PATCH_RTOL, hermitian=True)  # cov(x, x)⁺
-    return _Geometry(edges, volumes, x, patch_volumes, centres, inverses)
-
-
-def _fit(
-    patches: Patches, geometry: _Geometry, data: Array, *, by_means: bool
-) -> tuple[Array, Array]:
-    """Fit a linear function to moments in each patch. Collective.
-
-    Args:
-        patches: The patches.
-        geometry: Their geometry.
-        data: Moments of a field in each cell, (n_c, 1 + d, components).
-        by_means: Whether the means over the cells are fitted.
-
-    Returns:
-        Means f̄_v, (n_v, 1, components), and slopes G_v, transposed, (n_v, d, components).
-    """
-    n_cells, n_moments, size = data.shape
-    products = geometry.centroids[:, :, None] * data[:, :1]  # means of x f
-    if not by_means:
-        products += geometry.edges @ data[:, 1:]
-    of_cells = np.concatenate([data[:, :1], products], axis=1).reshape(n_cells, n_moments * size)
-    sums = patches.sum_over_patches(geometry.volumes * of_cells) / geometry.patch_volumes
-    of_patches = sums.reshape(-1, n_moments, size)
-    mean = of_patches[:, :1]
-    covariance = of_patches[:, 1:] - geometry.centres[:, :, None] * mean
-    return mean, geometry.inverses @ covariance  # cov(x, x)⁺ cov(x, f)
+    def _covariance_in_cells(self, data: Array) -> Array | float:
+        """Return cov(x, f) over each cell, (n_c, d, components)."""
+        return np.asarray(self._jacobians @ data[:, 1:])
 
 
 def _layer_of_cells(

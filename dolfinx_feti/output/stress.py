@@ -23,7 +23,7 @@ import ufl
 from ufl.core.expr import Expr
 
 from dolfinx_feti.output.evaluation import CellEvaluator
-from dolfinx_feti.output.patches import Patches, moments, recover
+from dolfinx_feti.output.patches import FitToMeans, FitToValues, Patches, moments
 from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["balanced_stress", "recovered_field"]
@@ -76,13 +76,14 @@ def recovered_field(
             f"vector of {dim} components for a stress of shape {(dim, dim)}, and None otherwise."
         )
     data = moments(expression, patches)
-    is_constant = _is_constant_in_cells(data, mesh)
-    field = recover(patches, data, by_means=is_constant, sweeps=SWEEPS)
+    to_means = FitToMeans(patches)
+    to_values = to_means if _is_constant_in_cells(data, mesh) else FitToValues(patches)
+    field = to_values.recover(data, sweeps=SWEEPS)
     if normal is not None:
-        n = _unit_normals(normal, patches)
+        n = _unit_normals(normal, patches, to_means)
         T = np.eye(dim) - n[..., :, None] * n[..., None, :]
-        by_means = recover(patches, data, by_means=True, sweeps=SWEEPS)
-        field += (T @ (by_means - field).reshape(T.shape) @ T).reshape(field.shape)
+        along_wall = to_means.recover(data, sweeps=SWEEPS)
+        field += (T @ (along_wall - field).reshape(T.shape) @ T).reshape(field.shape)
     result = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 2, shape)), name=name)
     dofs = result.function_space.dofmap.list[: len(field)]
     result.x.array.reshape(-1, field.shape[2])[dofs] = field
@@ -104,13 +105,18 @@ def _is_constant_in_cells(data: Array, mesh: dolfinx.mesh.Mesh) -> bool:
     return variation <= CONSTANT_RTOL * mean
 
 
-def _unit_normals(normal: Expr, patches: Patches) -> Array:
+def _unit_normals(normal: Expr, patches: Patches, fit: FitToMeans) -> Array:
     """Return the recovered unit normal at the nodes of each cell, (n_c, nodes, d). Collective.
+
+    Args:
+        normal: The normal, of any length.
+        patches: The patches.
+        fit: The fit in these patches.
 
     Raises:
         ArithmeticError: It vanishes at a node.
     """
-    n = recover(patches, moments(normal, patches), by_means=True, sweeps=1)
+    n = fit.recover(moments(normal, patches), sweeps=1)
     length = np.linalg.norm(n, axis=2, keepdims=True)
     vanishing = patches.mesh.comm.allreduce(int((length == 0.0).sum()))
     if vanishing:

@@ -12,7 +12,7 @@ of the facets.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,6 +84,20 @@ class _Triangles:
     part: Numbers
     face: Numbers
 
+    def turned(self, mask: Mask) -> _Triangles:
+        """Return the triangles with the corners of some in reverse, so that their normals turn.
+
+        Args:
+            mask: Mask of the triangles that are turned, (t,).
+        """
+        is_turned = mask[:, None, None]
+        return replace(
+            self,
+            X=np.where(is_turned, self.X[:, ::-1], self.X),
+            x=np.where(is_turned, self.x[:, ::-1], self.x),
+            values=np.where(is_turned, self.values[:, ::-1], self.values),
+        )
+
 
 def gather_surface(
     mesh: dolfinx.mesh.Mesh,
@@ -144,24 +158,21 @@ def _triangles(
     field: Array = np.zeros((*nodes_of_triangles.shape, 1))
     if values is not None:
         field = at_corners(values)
-    if mesh.geometry.dim == 3:
-        moved = position if displacement is None else position + displacement
-        inside = _evaluate(moved, mesh, cells, nodes).mean(axis=1)  # a point in each cell
-        is_turned = _is_turned(x, inside[:, None, :])
-        # the reversed corners of a triangle have the opposite normal
-        X = np.where(is_turned[:, :, None, None], X[:, :, ::-1], X)
-        x = np.where(is_turned[:, :, None, None], x[:, :, ::-1], x)
-        field = np.where(is_turned[:, :, None, None], field[:, :, ::-1], field)
     part_of_face: Numbers = np.zeros(n_faces, dtype=np.int64)
     if part is not None:
         part_of_face = part[cells].astype(np.int64)
-    return _Triangles(
+    triangles = _Triangles(
         X=X.reshape(-1, 3, 3),
         x=x.reshape(-1, 3, 3),
         values=field.reshape(-1, 3, field.shape[3]),
         part=np.repeat(part_of_face, per_face),
         face=np.repeat(face, per_face),
     )
+    if mesh.geometry.dim == 2:
+        return triangles
+    moved = position if displacement is None else position + displacement
+    inside = _evaluate(moved, mesh, cells, nodes).mean(axis=1)  # a point in each cell
+    return triangles.turned(_has_inward_normal(triangles.x, np.repeat(inside, per_face, axis=0)))
 
 
 def _joined(of_processes: Sequence[_Triangles]) -> _Triangles:
@@ -261,16 +272,16 @@ def _evaluate(expression: Expr, mesh: dolfinx.mesh.Mesh, cells: Integers, nodes:
     return values
 
 
-def _is_turned(x: Array, inside: Array) -> Mask:
-    """Return a mask of the triangles whose normal points into their cell, (n, t).
+def _has_inward_normal(x: Array, inside: Array) -> Mask:
+    """Return a mask of the triangles whose normal points into their cell, (t,).
 
     Args:
-        x: Corners of the triangles, (n, t, 3, 3).
-        inside: A point in the cell of each triangle, (n, 1, 3).
+        x: Corners of the triangles, (t, 3, 3).
+        inside: A point in the cell of each triangle, (t, 3).
     """
-    normal = np.cross(x[:, :, 1] - x[:, :, 0], x[:, :, 2] - x[:, :, 0])
-    outward = x.mean(axis=2) - inside
-    return np.asarray(np.einsum("nti,nti->nt", normal, outward) < 0.0)
+    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    outward = x.mean(axis=1) - inside
+    return np.asarray(np.einsum("ti,ti->t", normal, outward) < 0.0)
 
 
 def _with_shared_points(

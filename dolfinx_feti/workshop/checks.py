@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from dolfinx_feti.workshop.compiled import States
 __all__ = [
     "Check",
     "Law",
+    "Outcome",
     "check_finite",
     "check_law",
     "compare_with_bound",
@@ -31,6 +33,9 @@ __all__ = [
 
 #: States of a material as a function of F, (n, 3, 3).
 Law = Callable[[Array], States]
+
+#: Outcomes of a check.
+Outcome: TypeAlias = Literal["pass", "warn", "fail"]
 
 #: Largest deviation from an identity that holds to rounding accuracy, with a margin.
 IDENTITY_RTOL = 1e-9
@@ -60,7 +65,7 @@ class Check:
     """The outcome of a check."""
 
     name: str  #: The property
-    outcome: str  #: ``pass``, ``warn`` (a property that good models may lack) or ``fail``
+    outcome: Outcome  #: ``pass``, ``warn`` (a property that good models may lack) or ``fail``
     value: float | None  #: By name: a relative deviation, a number of states, or a modulus [kPa]
     bound: float | None  #: Largest value that passes; None for a modulus, which must be positive
     note: str = ""  #: The state, the meaning, or the remedy
@@ -115,13 +120,15 @@ def _check_rest(rest: States, states: States, *, incompressible: bool) -> list[C
         compare_with_bound(
             "zero energy at the reference",
             np.abs(rest.psi) / scale_at_rest,
-            warn="psi has a constant term, without effect on the stress",
+            note="psi has a constant term, without effect on the stress",
+            is_required=False,
         ),
         compare_with_bound(
             "least energy at the reference",
             below,
             F=states.F,
-            warn="psi is smaller than at F = I: check the signs of its terms",
+            note="psi is smaller than at F = I: check the signs of its terms",
+            is_required=False,
         ),
     ]
 
@@ -171,7 +178,8 @@ def _check_kink(rest: States, nearby: States) -> Check:
         "tangent continuous at rest",
         _largest(nearby.A - rest.A) / shear,
         KINK_RTOL,
-        warn="tension and compression differ at small strains, as with fibres that do not push",
+        note="tension and compression differ at small strains, as with fibres that do not push",
+        is_required=False,
     )
 
 
@@ -201,7 +209,7 @@ def compare_with_bound(
     F: Array | None = None,
     *,
     note: str = "",
-    warn: str = "",
+    is_required: bool = True,
 ) -> Check:
     """Compare the largest of several deviations with a bound.
 
@@ -210,16 +218,15 @@ def compare_with_bound(
         deviations: Deviations at the states, (n,); NaN fails.
         bound: Largest deviation that passes.
         F: The states, (n, 3, 3), to show the worst one.
-        note: Explanation of a failure.
-        warn: Explanation of a warning. If it is given, a deviation above the bound is a warning,
-            and no failure.
+        note: Cause or remedy, if the bound is exceeded.
+        is_required: Whether a deviation above the bound is a failure; if not, it is a warning.
     """
     worst = int(np.where(np.isnan(deviations), np.inf, deviations).argmax())
     value = float(deviations[worst])
     if value <= bound:
         return Check(name, "pass", value, bound)
-    outcome = "warn" if warn else "fail"
-    notes = [note or warn]
+    outcome: Outcome = "fail" if is_required else "warn"
+    notes = [note]
     if np.isnan(value):
         outcome = "fail"
         notes = ["NaN: psi or a derivative is undefined there"]

@@ -83,25 +83,22 @@ class _Balance:
     free: Array  #: Directions of the free entries, (k, 3, 3)
     scale: np.float64  #: Unit of stress [kPa]
 
-    def at(self, F: Array, p: Array) -> _Trial:
+    def at(self, F: Array, pressure: Array | None) -> _Trial:
         """Return residuals and tangents at states.
 
         Args:
             F: Deformation gradients, (n, 3, 3).
-            p: Pressures [kPa], (n,). NaN stands for the pressure with the smallest residual r.
+            pressure: p [kPa], (n,); None for the p with the smallest residuals r.
         """
         states = evaluate(self.energy, F)
         r = _entries(states.P / self.scale, self.free)
         if self.flexibility is None:
-            p = np.zeros(len(F))
+            p: Array = np.zeros(len(F))
             K = self._projected(states.A)
         else:
             cof = cofactor(F)
             volume = _entries(cof, self.free)  # D_k : cof F
-            # p_best minimises ‖r + p/scale volume‖; the bound prevents a division by zero
-            p_best = -self.scale * (r * volume).sum(axis=1)
-            p_best /= np.maximum((volume**2).sum(axis=1), MIN_VOLUME_DERIVATIVE)
-            p = np.where(np.isnan(p), p_best, p)
+            p = self._best_pressure(r, volume) if pressure is None else pressure
             J = np.einsum("nij,nij->n", cof, F) / 3
             r = r + (p / self.scale)[:, None] * volume
             r = np.column_stack((r, J - 1 - p * self.flexibility))
@@ -113,6 +110,16 @@ class _Balance:
         is_finite = np.isfinite(norm) & np.isfinite(K).all(axis=(1, 2))
         norm = np.where(is_finite & (np.linalg.det(F) > MIN_VOLUME_RATIO), norm, np.inf)
         return _Trial(F, p, r, K, norm)
+
+    def _best_pressure(self, r: Array, volume: Array) -> Array:
+        """Return the pressures that minimise ‖r + p/scale volume‖ [kPa], (n,).
+
+        Args:
+            r: Residuals without pressure, (n, k).
+            volume: D_k : cof F, (n, k).
+        """
+        squares = np.maximum((volume**2).sum(axis=1), MIN_VOLUME_DERIVATIVE)
+        return np.asarray(-self.scale * (r * volume).sum(axis=1) / squares)
 
     def _projected(self, A: Array) -> Array:
         """Return D_k : A : D_l without unit, (n, k, k), of tangents [kPa], (n, 3, 3, 3, 3)."""
@@ -186,7 +193,7 @@ def _approach(balance: _Balance, F: Array, steps: int) -> tuple[Array, Array]:
     x = _entries(F if steps == 1 else at_rest, free)
     start = at_rest - _combine(_entries(at_rest, free), free)  # the prescribed parts
     end = F - _combine(_entries(F, free), free)
-    p: Array = np.full(len(F), np.nan)
+    p: Array | None = None
     is_solved: Mask = np.ones(len(F), dtype=np.bool_)  # at all steps so far
     for t in np.linspace(0.0, 1.0, steps + 1)[1:]:
         guess = start + t * (end - start) + _combine(x, free)
@@ -196,16 +203,16 @@ def _approach(balance: _Balance, F: Array, steps: int) -> tuple[Array, Array]:
         is_solved = is_solved & has_converged
         if not is_solved.any():
             break
-    return np.where(is_solved[:, None, None], state.F, np.nan), np.where(is_solved, p, np.nan)
+    return np.where(is_solved[:, None, None], state.F, np.nan), np.where(is_solved, state.p, np.nan)
 
 
-def _newton(balance: _Balance, F: Array, p: Array, is_wanted: Mask) -> tuple[_Trial, Mask]:
+def _newton(balance: _Balance, F: Array, p: Array | None, is_wanted: Mask) -> tuple[_Trial, Mask]:
     """Solve for several states at once by Newton's method with step halving.
 
     Args:
         balance: The equations.
         F: Deformation gradients with guesses of the free entries, (n, 3, 3).
-        p: Guesses of the pressures [kPa], (n,); NaN for none.
+        p: Guesses of the pressures [kPa], (n,); None without any.
         is_wanted: Mask of the states to solve for, (n,).
 
     Returns:

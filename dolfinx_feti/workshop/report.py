@@ -14,7 +14,7 @@ import numpy as np
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.values import require_positive, require_type
 from dolfinx_feti.text_tables import format_number, format_value, text_table
-from dolfinx_feti.workshop.checks import Check, Law, check_law, state_text
+from dolfinx_feti.workshop.checks import Check, Law, Outcome, check_law, state_text
 from dolfinx_feti.workshop.compiled import Material, evaluate
 from dolfinx_feti.workshop.ellipticity import Ellipticity, scan_ellipticity
 from dolfinx_feti.workshop.moduli import ZERO_STIFFNESS, Moduli, small_strain_moduli
@@ -103,7 +103,7 @@ def _check_finite_along(law: Law, paths: Sequence[DeformationPath]) -> Check:
 def _check_stiffness(moduli: Moduli) -> Check:
     """Check that the reference is stable: the least eigenvalue of its stiffness is positive."""
     zero = ZERO_STIFFNESS * np.abs(moduli.stiffness).max()
-    outcome = "pass"
+    outcome: Outcome = "pass"
     note = "kPa"
     if moduli.least < -zero:
         outcome = "fail"
@@ -122,7 +122,7 @@ def _check_ellipticity(scan: Ellipticity) -> Check:
     if has_no_equilibrium.all():
         return Check(name, "fail", None, None, "no equilibrium at any state")
     k = int(np.nanargmin(scan.least))
-    outcome = "pass"
+    outcome: Outcome = "pass"
     notes = [f"kPa, at {format_value(path.symbol, path.values[k])}"]
     if scan.lost:
         outcome = "fail" if scan.rest in scan.lost else "warn"

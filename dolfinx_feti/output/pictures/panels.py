@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -45,7 +46,7 @@ SCENE_STRIDE = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Panel:
+class Panel(ABC):
     """A body to be drawn.
 
     Attributes:
@@ -73,6 +74,7 @@ class Panel:
         mesh.cell_data["part"] = self.surface.part
         return mesh
 
+    @abstractmethod
     def add_to(self, plotter: Any, scale: ColourScale) -> None:
         """Add the body to a scene of PyVista, on the first process.
 
@@ -80,8 +82,8 @@ class Panel:
             plotter: The scene, ``pyvista.Plotter``.
             scale: The colours of fields.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def coloured_meshes(self, scale: ColourScale) -> list[Any]:
         """Return the triangles of a scene in a browser, on the first process.
 
@@ -92,7 +94,6 @@ class Panel:
             ``pyvista.PolyData``, each with ``colour``, (n, 3), red, green and blue up to 255, and,
             if the body is not plane, ``Normals``, (n, 3), at its points.
         """
-        raise NotImplementedError
 
     def surface_here(self) -> BodySurface:
         """Return the surface on the first process.
