@@ -123,7 +123,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     tried = [item for item in items if is_tried(item)]
     if COMM.size > 1:
-        tests: dict[object, list[pytest.Item]] = {}
+        tests: dict[object, list[pytest.Item]] = {}  # with a mark, each combination is one
         for item in tried:
             test = item if item.get_closest_marker("processes") else item.nodeid.split("[")[0]
             tests.setdefault(test, []).append(item)
@@ -237,7 +237,10 @@ def stops_at_negative_curvature(monkeypatch: pytest.MonkeyPatch) -> None:
 def create_dual(
     read_pattern: Callable[..., Pattern], lifetime: Lifetime
 ) -> Callable[..., DualFormulation]:
-    """Return a function that builds the dual form of a torn matrix; options are keywords."""
+    """Return a function that builds the dual form of a torn matrix; options are keywords.
+
+    Their defaults are those of :func:`read_pattern`.
+    """
 
     def create(A: PETSc.Mat, **options: object) -> DualFormulation:
         read = read_pattern(A, **options)
@@ -256,7 +259,12 @@ def double_precision_products(monkeypatch: pytest.MonkeyPatch) -> None:
 def create_primal(
     read_pattern: Callable[..., Pattern], double_precision_products: None, lifetime: Lifetime
 ) -> Callable[..., PrimalFormulation]:
-    """Return a function that builds the primal form of a problem, see ``primal_form.create``."""
+    """Return a function that builds the primal form of a problem torn by hand.
+
+    Further columns of its coarse space are an argument, see :func:`primal_form.create`; options are
+    keywords. Unlike in the solver, there are no deflation vectors and no products in single
+    precision; other defaults are those of :func:`read_pattern`.
+    """
 
     def create(problem: Any, further_columns: Any = None, **options: object) -> PrimalFormulation:
         return primal_form.create(
@@ -268,7 +276,10 @@ def create_primal(
 
 @pytest.fixture
 def read_pattern(lifetime: Lifetime) -> Callable[..., Pattern]:
-    """Return a function that reads the pattern of a torn matrix; options are keywords."""
+    """Return a function that reads the pattern of a torn matrix; options are keywords.
+
+    They are fields of :class:`FETIOptions`, with their defaults, except that the interior is kept.
+    """
 
     def create(A: PETSc.Mat, **options: object) -> Pattern:
         settings = FETIOptions(**{"interior": "keep", **options})

@@ -65,8 +65,8 @@ def equal(actual: npt.ArrayLike, expected: npt.ArrayLike, tolerance: float = 0.0
     """Assert on all processes that arrays agree to a tolerance relative to the largest entry.
 
     Args:
-        actual: Array of any shape.
-        expected: Array of the same shape; its largest entry scales the tolerance.
+        actual: Array of any shape; each process compares its own.
+        expected: Array of the same shape; its largest entry on this process scales the tolerance.
         tolerance: Largest difference relative to that entry; with 0 they are equal.
     """
     __tracebackhide__ = True

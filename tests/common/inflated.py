@@ -37,7 +37,7 @@ class RubberBody:
     energy: ufl.Form  #: Π(u, p)
 
     def problem(self, scalars, **options) -> NonlinearProblem:
-        """Return the problem with scalars."""
+        """Return the problem with scalars; ``options`` are arguments of ``NonlinearProblem``."""
         petsc = {"snes_max_it": 20, "snes_atol": 0.0} | options.pop("petsc_options", {})
         keywords = {"subdomains": 6, "quadrature_degree": 4} | options
         return NonlinearProblem(

@@ -128,7 +128,7 @@ class Mixed:
         return np.concatenate([dolfinx.fem.assemble_vector(form).array.copy() for form in self._r])
 
     def step(self) -> tuple[Array, Array]:
-        """Return the Newton step from the present state: Δu, and Δp of all fields in a row."""
+        """Return the increments of a Newton step, Δu, and Δp of all fields in a row."""
         n = len(self.body.u.x.array)
         r = self.residual()
         K = scipy.sparse.block_array(self.blocks(), format="csc")
@@ -144,7 +144,7 @@ class Mixed:
         return step[:n], step[n:]
 
     def go(self) -> Array:
-        """Make one Newton step; return Δu."""
+        """Add the increments of a Newton step to the state; return Δu."""
         du, dp = self.step()
         self.body.u.x.array[:] += du
         ends = np.cumsum([len(p.x.array) for p in self.body.fields])
@@ -231,7 +231,7 @@ def solve_assembled(A: PETSc.Mat, b: PETSc.Vec) -> Array:
 
 
 def errors_of_solves(problem: Any) -> list[float]:
-    """Compare each later linear solve with MUMPS; return the list of relative errors."""
+    """Return a list, to which each later linear solve appends its relative error against MUMPS."""
     errors = []
 
     def compare(ksp: PETSc.KSP, b: PETSc.Vec, x: PETSc.Vec) -> None:

@@ -30,10 +30,10 @@ from dolfinx_feti.contact import Contact, half_space
 from dolfinx_feti.loading import Motion, Steps, TimeSteps, follow_load, follow_time
 from dolfinx_feti.mechanics import memory
 
-C1 = 1.0
-KAPPA = 3.0
-TAU = 0.3
-DENSITY = 0.05  # kPa, kPa, s, kg/mm³
+C1 = 1.0  # c of the neo-Hookean energy [kPa]
+KAPPA = 3.0  # stiffness of the volumetric energy [kPa]
+TAU = 0.3  # relaxation time of the Maxwell branch [s]
+DENSITY = 0.05  # mass per reference volume [kg/mm³]
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,14 @@ class Strip:
 
     Without a condensed pressure the load is chosen so that ``aim``, the compressed state, is an
     equilibrium.
+
+    Args:
+        kind: Type of the cells.
+        degree: Degree of the displacement.
+        unit: Width of a column of cells, and height of the strip.
+        pressure: Whether a pressure in each cell is condensed.
+        held: Marks the boundary where ``aim`` is prescribed; the right end if not given.
+        **arguments: Further arguments of ``NonlinearProblem``.
     """
 
     def __init__(

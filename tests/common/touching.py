@@ -25,7 +25,14 @@ EXACT = {"snes_rtol": 1e-12, "snes_atol": 0.0, "ksp_rtol": 1e-11}
 
 @dataclass
 class Touching:
-    """A problem with one contact."""
+    """A problem with one contact.
+
+    Attributes:
+        problem: The problem.
+        contact: Its contact.
+        u: Displacement.
+        numbers: The ``height`` of the tool and the ``pressure`` on the upper face.
+    """
 
     problem: NonlinearProblem
     contact: Contact

@@ -58,7 +58,7 @@ def check_failed(ksp, reason, *words):
     agree(all(word in message for word in words), message)
 
 
-# ---- numbers that are none ------------------------------------------------------------------
+# ---- NaN and infinity -----------------------------------------------------------------------
 
 
 @every_type
@@ -304,6 +304,7 @@ def test_no_message_recommends_an_option_that_is_set(reason, floor, method):
     messages = set()
     for values in itertools.product(*CHOICES.values()):
         options = FETIOptions(**dict(zip(CHOICES, values, strict=True)))
+        # The options "dual" and "primal" select one formulation, "auto" either of them.
         for dual in {options.formulation != "primal", options.formulation == "dual"}:
             form = SimpleNamespace(
                 pattern=SimpleNamespace(options=options),

@@ -130,7 +130,7 @@ def replace_near_kernel(problem):
 
 
 def change_near_kernel_in_place(problem):
-    """Change the sign of the first vector; PETSc locks the vectors, but not for good."""
+    """Change the sign of the first vector, which PETSc has locked and which is unlocked for it."""
     mode = problem.A.getNearNullSpace().getVecs()[0]
     unlock, lock = (c_function(f"VecLockRead{way}", (ctypes.c_void_p,)) for way in ("Pop", "Push"))
     unlock(mode.handle)
@@ -225,7 +225,7 @@ def test_next_solve_uses_the_changed_matrix(name, options, problem, create_ksp):
     check_solution(ksp, problem, b)
     before = version_of(problem.A)
     CHANGES[name](problem)
-    after = version_of(problem.A)  # is another one on some process, and in its proper part
+    after = version_of(problem.A)  # differs on some process, in the part that has changed
     pattern = COMM.allreduce(after.pattern != before.pattern)
     values = COMM.allreduce(after.values != before.values)
     agree((pattern > 0) == (name in PATTERN) and (pattern or values), (pattern, values))

@@ -146,6 +146,7 @@ def test_view_prints_the_report(torn_grid, create_ksp, lifetime, tmp_path):
         expected += [kind, "dirichlet", f"{report.multipliers}", "MiB", "condition number"]
         printed = text(ksp)
         agree(all(word in printed for word in expected), printed)
+    # of the last solver, all-floating and dual
     agree(report.subdomains == 4 and report.dofs == 98 and report.torn_dofs == 128, report)
     agree(report.dofs_local == (32, 32) and report.kernels == (0, 0, 0, 4), report)
     agree(report.coarse_size == 12 and report.exact == 4 and report.coarse_inertia == (0, 0))
@@ -160,7 +161,12 @@ def test_view_prints_the_report(torn_grid, create_ksp, lifetime, tmp_path):
     [("dual", [3, 5, 2, 3, 3, 2, 2]), ("primal", [3, 5, 4, 3, 3, 2, 2])],
 )
 def test_log_view_counts_each_phase(formulation, expected, torn_grid, create_ksp):
-    """The columns of the primal form outlast the coarse matrix."""
+    """There are three solves with two matrices, and all of the set-up is done for each matrix.
+
+    Gluing and factorisation are also counted once for the pattern, and the factors of K_II and K_ρ
+    for each matrix. The primal form counts its columns and the coarse matrix separately, since the
+    columns may outlast the matrix.
+    """
     PETSc.Log.begin()
     names = ("FETIGluing", "FETIFactor", "FETICoarse", "FETISolve", "FETIIterations")
     names += ("FETISchur", "FETIModes", "FETISchurProduct", "FETILocalSolve", "FETICoarseSolve")

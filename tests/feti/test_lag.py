@@ -62,7 +62,7 @@ def raise_set_up_error(*args, **kwargs):
 
 def soften_second_subdomain(K, dofs):
     """Reduce the diagonal so that D of the second subdomain has negative eigenvalues."""
-    K[1] -= 0.002 * np.diag(K[1].diagonal())  # D of this subdomain gets negative eigenvalues
+    K[1] -= 0.002 * np.diag(K[1].diagonal())
 
 
 @every_type

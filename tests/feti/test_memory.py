@@ -4,8 +4,8 @@
 """PETSc's objects are destroyed, without reference cycles and growing memory, also after faults.
 
 The list of functions that are made to fail is generated: all of ``feti/subdomain``, and in other
-rooms those that call LAPACK, BLAS or compiled code, if a solve calls them and they neither are
-collective nor guard.
+rooms those that call LAPACK, BLAS or compiled code. A function is on the list only if a solve calls
+it, and if it is neither collective nor guards other work.
 """
 
 import faulthandler
@@ -93,7 +93,7 @@ def test_destroyed_solver_has_no_reference_to_the_matrix(kind, pc_type, torn_gri
     """A solver may be destroyed twice, unused, and after a second matrix."""
     problem = torn_grid((2, 2), (2, 2), components=2)
     with releases_matrix(problem):
-        for steps in range(4):
+        for steps in range(4):  # no set-up, one, two, and two before the context is destroyed
             ksp = create_ksp_without_owner(problem, feti_type=kind, feti_pc_type=pc_type)
             context = ksp.getPythonContext()
             for _ in range(min(steps, 2)):

@@ -80,7 +80,7 @@ def test_dof_numbers_out_of_range_are_refused(wrong, lifetime):
 
 
 def test_gather_orders_copies_by_dof(monkeypatch, create_torn):
-    """It does not need ``MPI._typedict``, which is private to mpi4py."""
+    """Gathering does not need ``MPI._typedict``, which is private to mpi4py."""
     monkeypatch.delattr(MPI, "_typedict", raising=False)
     problem, torn, _ = create_torn((2, 2), (2, 2))
     gathered = whole(torn.gather(torn.first_torn_dof + np.arange(torn.n, dtype=np.float64)))
@@ -343,7 +343,7 @@ def test_rounding_of_a_product_is_that_of_its_terms(create_torn):
 
 
 def test_destroyed_matrix_is_refused():
-    """PETSc makes an empty one of it; the message says what has to be kept."""
+    """A destroyed matrix is an empty one of PETSc's; the message says what has to be kept."""
     empty = PETSc.Mat().create(COMM)
     with raises(TypeError, "has no type, as after its destruction.*Keep the problem"):
         Torn(empty)

@@ -57,7 +57,7 @@ def test_single_precision_products_keep_the_coarse_matrix(torn_grid, create_prim
     """A V is stored in single precision; A₀ stays as it is."""
     problem = torn_grid(**GRID)
     double = create_primal(problem, type="all_floating", interior="eliminate", coarse_modes=2)
-    monkeypatch.undo()
+    monkeypatch.undo()  # what the fixture double_precision_products of create_primal has set
     single = create_primal(problem, type="all_floating", interior="eliminate", coarse_modes=2)
     agree(all(part.is_single_precision for part in single.coarse.VtA.by_subdomain))
     equal(dense(single.coarse.A_0), dense(double.coarse.A_0), 1e-12)
@@ -85,6 +85,7 @@ def test_dependent_columns_are_dropped(torn_grid, create_primal):
     space = create_primal(
         problem, again, type="all_floating", interior="eliminate", coarse_modes=2
     ).coarse
+    # All repeated columns are dropped, and a zero column of each of the six subdomains.
     agree(space.N_c - space.A_0.getSize()[0] == plain.coarse.N_c + 6)
     agree(plain.coarse.A_0.getSize()[0] == plain.coarse.N_c and space.negative_eigenvalues == 0)
     copies = plain.system.copies
@@ -220,6 +221,7 @@ def test_subdomains_of_one_cell_are_solved():
     """There are 3375 on one process and 1000 on two."""
     n = 15 if COMM.size == 1 else 10
     problem = cube_with_jumps(n, n, "columns", 1e6)
+    # Six rigid modes of each cell, except for the n² cells on the clamped face.
     agree(check_residual(problem).report().coarse_size > 6 * n**3 - 6 * n**2)
 
 

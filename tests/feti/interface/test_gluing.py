@@ -26,6 +26,7 @@ GRIDS = {
     "no condition": case((2, 2), (1, 1), fixed=nowhere),
 }
 every_grid = each("grid", GRIDS)
+#: Numbers k that weights are computed from; those with the name of a scaling are its formula.
 STIFFNESS = {
     "multiplicity": lambda torn: np.ones(torn.n),
     "stiffness": lambda torn: torn.stiffness(),
@@ -126,7 +127,7 @@ def test_scaled_jumps_give_a_projection(grid, kind, stiffness, create_gluing, li
 @every_grid
 @pytest.mark.parametrize("scaling", SCALINGS)
 def test_weights_of_a_scaling_sum_to_one(grid, scaling, create_gluing):
-    """Tᵀ δ T = I; one scaling weighs by the diagonal of K, the other weighs all copies alike."""
+    """Tᵀ δ T = I for all scalings, and δ = k / Σ k for those with a formula in STIFFNESS."""
     problem, torn, _ = create_gluing(grid)
     weights = SCALINGS[scaling](torn)
     equal(problem.T.T @ whole(weights), np.ones(len(problem.dirichlet)), 1e-14)

@@ -242,9 +242,9 @@ def check_span(Y, expected, tolerance):
 @every_size
 @pytest.mark.parametrize(("threshold", "count"), [(1e-4, 1), (1e-2, 2), (0.1, 3), (0.5, 4)])
 def test_soft_modes_are_those_below_the_threshold(n, threshold, count):
-    """With unit weights μ is an eigenvalue of K, and each power takes μ off the error.
+    """With unit weights μ is an eigenvalue of K, and each subspace step multiplies the error by μ.
 
-    In a large subdomain one that is close to the threshold may be missed.
+    In a large subdomain a mode close to the threshold may be missed.
     """
     values = [5e-5, 5e-3, 5e-2, 0.3] if n <= MAX_DOFS_FOR_EIGH else [5e-5, 5e-3, 5e-2, 0.15]
     K, modes = matrix_with_eigenvalues(n, values)
@@ -258,7 +258,7 @@ def test_soft_modes_are_those_below_the_threshold(n, threshold, count):
 
 @every_size
 def test_softest_modes_join_first(n):
-    """They solve K y = μ k y: the same K is soft beside a stiff interface only."""
+    """Modes solve K y = μ k y, so that a larger stiffness k of the interface makes K softer."""
     K, modes = matrix_with_eigenvalues(n, [1e-4, 1e-3, 2e-3, 5e-3])
     check_span(soft_modes(dense_solver(K), np.ones(n), 2, 1e-2), modes[:, :2], 0.05)
     for most, threshold in ((0, 1e-2), (12, 0.0)):
@@ -273,7 +273,7 @@ def test_softest_modes_join_first(n):
     ("values", "most"), [((-0.5, -0.02, -1e-3), 2.0), ((-1e5, -1.0, -0.5), 1e5)]
 )
 def test_buckling_modes_span_the_negative_eigenvectors(values, most, n):
-    """The inverse shows those near zero, the matrix one that is far below."""
+    """Those near zero are found by the inverse of K, those far below it by K."""
     K, modes = matrix_with_eigenvalues(n, values, most)
     check_span(
         buckling_modes(dense_solver(K), lambda X: K @ X, n, 3),
