@@ -213,18 +213,31 @@ class PointIntegrands:
             case "min_value":
                 first_is_smaller = tape.value("lt", *operands)
                 return tape.choose(first_is_smaller, *operands)
+            case "power":
+                return self._power(operands[0], operands[1], node.ufl_operands[1])
             case "ln":
-                name = "log"
-            case "power" if isinstance(node.ufl_operands[1], classes.ScalarValue):
-                n = float(node.ufl_operands[1])
-                if abs(n) in range(1, MAX_PRODUCT_POWER + 1):
-                    product = tape.power(operands[0], int(abs(n)))
-                    return product if n > 0.0 else tape.divide(tape.number(1.0), product)
-        if name in FUNCTIONS:
-            return tape.value("function", *operands, integers=[FUNCTIONS.index(name)])
-        if name not in INSTRUCTIONS:
-            raise UnsupportedIntegrandError(f"operator {name}")
-        return tape.value(name, *operands)
+                return tape.value("function", *operands, integers=[FUNCTIONS.index("log")])
+            case _ if name in FUNCTIONS:
+                return tape.value("function", *operands, integers=[FUNCTIONS.index(name)])
+            case _ if name in INSTRUCTIONS:
+                return tape.value(name, *operands)
+        raise UnsupportedIntegrandError(f"operator {name}")
+
+    def _power(self, base: int, exponent: int, exponent_node: Expr) -> int:
+        """Return the reference to a power; with a small whole exponent it is a product.
+
+        Args:
+            base: Reference to the base.
+            exponent: Reference to the exponent.
+            exponent_node: The exponent as an expression.
+        """
+        tape = self.tape
+        if isinstance(exponent_node, classes.ScalarValue):
+            n = float(exponent_node)
+            if abs(n) in range(1, MAX_PRODUCT_POWER + 1):
+                product = tape.power(base, int(abs(n)))
+                return product if n > 0.0 else tape.divide(tape.number(1.0), product)
+        return tape.value("power", base, exponent)
 
     def _terminal(self, node: Expr) -> int:
         """Return the reference to a number, or to a value of the cell at the point.

@@ -85,7 +85,7 @@ static inline void tabulate_element(const Program *program, int e, int q, const 
             to[(1 + i) * POINTS] = sum;
         }
         phi += 1 + GDIM;
-        to += NODE;
+        to += NODE_STRIDE;
     }
 }
 
@@ -166,7 +166,7 @@ static inline __attribute__((always_inline)) void multiply(int rows, int columns
         for (int q = 0; q < N; ++q)
             UNROLL for (int b = 0; b < columns; ++b)
                 UNROLL for (int a = 0; a < rows; ++a)
-                    sum[a][b] += T[a * directions * POINTS + q] * phi[b * NODE + q];
+                    sum[a][b] += T[a * directions * POINTS + q] * phi[b * NODE_STRIDE + q];
     }
     UNROLL for (int a = 0; a < rows; ++a)
         UNROLL for (int b = 0; b < columns; ++b)
@@ -185,13 +185,13 @@ static const int *multiply_rows(const Program *program, const Contraction *pair,
         for (int a = 0; a < nodes; ++a) {
             V *const T = R + program->products_at + (a * pair->directions + t) * POINTS;
             V sum[POINTS];
-            EACH sum[k] = (V){0.0};
+            FOR_POINTS(k) sum[k] = (V){0.0};
             for (const int *s = p + 1; s < end; s += 2) {
-                const V *const phi = basis + a * NODE + s[0] * POINTS;
+                const V *const phi = basis + a * NODE_STRIDE + s[0] * POINTS;
                 const V *const A = (const V *)((const char *)R + s[1]);
-                EACH sum[k] += A[k] * phi[k];
+                FOR_POINTS(k) sum[k] += A[k] * phi[k];
             }
-            EACH T[k] = sum[k];
+            FOR_POINTS(k) T[k] = sum[k];
         }
         p = end;
     }
@@ -248,7 +248,7 @@ static const int *contract(const Program *program, const int *p, V *R)
                     .directions = pair->directions,
                     .direction = direction,
                     .T = products + a * pair->directions * POINTS,
-                    .phi = basis + start * NODE,
+                    .phi = basis + start * NODE_STRIDE,
                 };
                 V s[ROWS][COLUMNS];
                 multiply_tile(rows, end_column - start, &factors, s);

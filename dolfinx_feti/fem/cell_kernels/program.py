@@ -9,7 +9,8 @@ r"""From UFL's forms to the data of ``kernel.c``: a tape, tables of basis functi
 J and L are derivatives along an axis, or none: then φ itself is meant. Row a i, with node a and
 component i, has the number a · bs + i. A *contraction* computes the entries of one pair of
 components (i, k). If A_st and A_ts are one value of the tape for all slots of an integrand, its
-part of K is symmetric, and contractions with i > k are mirrored.
+part of K is symmetric. Then there are contractions with i ≤ k only, which also give the entries of
+(k, i).
 
 Residuals and energies are contractions, too: a missing argument is replaced by the constant 1,
 which has one node. The test function numbers the rows of a tangent. It numbers the columns of a
@@ -20,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
 
@@ -52,7 +53,7 @@ MAX_POINTS = 22
 #: longer; with 22 groups it takes as long.
 MAX_GROUPS = 12
 
-#: Bytes of a vector: one double of each of eight cells.
+#: Bytes of a vector: one double of each of eight cells, the type V in ``tape.h``.
 VECTOR_BYTES = 64
 
 
@@ -117,7 +118,7 @@ class _WorkSpace:
 
 
 @dataclass(frozen=True, slots=True)
-class _Element:
+class _FunctionElement:
     """A scalar element of a function, and the number of components that share it."""
 
     index: int  #: In ``PointIntegrands.elements``
@@ -125,21 +126,68 @@ class _Element:
     components: int
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class _Entries:
-    """Entries of all forms in a cell, form by form.
+    """Numbering of the entries of all forms in a cell, form by form.
 
     Attributes:
         shapes: Number of dofs of each argument, by the index of the form.
         first: First entry of each form, by the index of the form.
         count: Number of entries of all forms.
-        contractions: Contractions of all forms, one after the other, as ``kernel.c`` reads them.
     """
 
-    shapes: dict[int, tuple[int, ...]] = field(default_factory=dict)
-    first: dict[int, int] = field(default_factory=dict)
-    count: int = 0
-    contractions: list[int] = field(default_factory=list)
+    shapes: dict[int, tuple[int, ...]]
+    first: dict[int, int]
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Contraction:
+    """The entries of one pair of components (i, k) of an integrand.
+
+    The entry of row node a and column node b is ``first + a * row_stride + b * column_stride``.
+
+    Attributes:
+        row_element: Element of rows, its index in ``PointIntegrands.elements``.
+        column_element: Element of columns.
+        first: Entry of the first nodes.
+        mirrored: Entry of the first nodes of the pair (k, i), which gets the transposed entries;
+            None if the integrand is not symmetric.
+        row_stride: Entries from one row node to the next.
+        column_stride: Entries from one column node to the next.
+        factors: Derivative s of rows, and offset in bytes of the register of A_st, for each
+            factor, by the derivative t of columns. A derivative is a ``Slot.direction``.
+    """
+
+    row_element: int
+    column_element: int
+    first: int
+    mirrored: int | None
+    row_stride: int
+    column_stride: int
+    factors: Mapping[int, Sequence[tuple[int, int]]]
+
+    def words(self) -> list[int]:
+        """Return the integers that ``contract`` in ``kernel.c`` reads.
+
+        These are the members of ``struct Contraction``, the derivatives t, and for each t the
+        number of its factors and the pairs (s, offset).
+        """
+        words = [
+            self.row_element,
+            self.column_element,
+            self.first,
+            -1 if self.mirrored is None else self.mirrored,
+            self.row_stride,
+            self.column_stride,
+            len(self.factors),
+            *self.factors,
+        ]
+        for pairs in self.factors.values():
+            words.append(len(pairs))
+            for derivative, offset in pairs:
+                words += [derivative, offset]
+        return words
 
 
 def generate_programs(
@@ -203,11 +251,12 @@ def _program(
     rule = _rule(mesh.basix_cell(), degree)
     factors = {value for term in point.terms for value in term.factors.values()}
     code = point.tape.code(factors, VECTOR_BYTES * rule.vectors)
-    entries = _entries(forms, point, code.offset, mesh.basix_cell())
+    entries = _number_entries(forms, point)
+    contractions = _contractions(point, entries, code.offset, mesh.basix_cell())
     used = _elements_of_functions(point, functions)
     work = _work_space(point.elements, used, code.registers, entries.count, gdim, rule)
     data = {
-        **_form_members(point, code, entries),
+        **_form_members(point, code, entries, contractions),
         **_rule_members(rule),
         **_element_members(point, mesh, rule),
         **_function_members(used),
@@ -223,23 +272,26 @@ def _program(
 
 def _elements_of_functions(
     point: PointIntegrands, functions: Sequence[dolfinx.fem.Function]
-) -> list[_Element]:
+) -> list[_FunctionElement]:
     """Return the element of each function on the tape, that of the position x first."""
     geometry = point.elements[0]
-    elements = [_Element(0, geometry.dim, GEOMETRY_COMPONENTS)]
+    elements = [_FunctionElement(0, geometry.dim, GEOMETRY_COMPONENTS)]
     for f in functions:
         element, components = scalar_element(f)
-        elements.append(_Element(point.add_element(element), element.dim, components))
+        elements.append(_FunctionElement(point.add_element(element), element.dim, components))
     return elements
 
 
-def _form_members(point: PointIntegrands, code: Code, entries: _Entries) -> dict[str, Any]:
+def _form_members(
+    point: PointIntegrands, code: Code, entries: _Entries, contractions: Sequence[_Contraction]
+) -> dict[str, Any]:
     """Return the members of ``Program`` that describe the forms."""
+    words = [word for contraction in contractions for word in contraction.words()]
     return {
         "entries": entries.count,
         "forms": len(entries.shapes),
         "first_entry": [*entries.first.values(), entries.count],
-        "contractions": [*entries.contractions, -1],
+        "contractions": [*words, -1],
         "tape": code.words,
         "literals": np.array([*point.tape.literals.values()]),
     }
@@ -272,7 +324,7 @@ def _element_members(
     }
 
 
-def _function_members(used: Sequence[_Element]) -> dict[str, Any]:
+def _function_members(used: Sequence[_FunctionElement]) -> dict[str, Any]:
     """Return the members of ``Program`` that describe the functions."""
     return {
         "functions": len(used),
@@ -292,37 +344,44 @@ def _work_members(work: _WorkSpace) -> dict[str, Any]:
     }
 
 
-def _entries(
-    forms: Sequence[ufl.Form],
-    point: PointIntegrands,
-    offset: Mapping[int, int],
-    cell: basix.CellType,
-) -> _Entries:
-    """Number the entries of all forms, and encode their contractions.
+def _number_entries(forms: Sequence[ufl.Form], point: PointIntegrands) -> _Entries:
+    """Number the entries of all forms that have integrands."""
+    shapes: dict[int, tuple[int, ...]] = {}
+    first: dict[int, int] = {}
+    count = 0
+    for term in point.terms:
+        if term.form in shapes:
+            continue
+        arguments = map(scalar_element, forms[term.form].arguments())
+        shape = tuple(element.dim * components for element, components in arguments)
+        shapes[term.form] = shape
+        first[term.form] = count
+        count += math.prod(shape)
+    return _Entries(shapes, first, count)
+
+
+def _contractions(
+    point: PointIntegrands, entries: _Entries, offset: Mapping[int, int], cell: basix.CellType
+) -> list[_Contraction]:
+    """Return the contractions of all integrands.
 
     Args:
-        forms: The forms.
-        point: Their integrands, form by form.
+        point: The integrands.
+        entries: Numbering of the entries.
         offset: Offset in bytes of the register of each factor.
         cell: Type of the cells.
     """
     constant_element = point.add_element(basix.ufl.element("DG", cell.name, 0))
     one = Slot(constant_element, components=1, component=0, direction=0)  # a missing argument
-    entries = _Entries()
+    contractions: list[_Contraction] = []
     for term in point.terms:
-        if term.form not in entries.shapes:
-            arguments = map(scalar_element, forms[term.form].arguments())
-            shape = tuple(element.dim * components for element, components in arguments)
-            entries.shapes[term.form] = shape
-            entries.first[term.form] = entries.count
-            entries.count += math.prod(shape)
         shape = entries.shapes[term.form]
         row_size = shape[-1] if shape else 1
         offsets = {}
         for slots, value in term.factors.items():
             offsets[_row_and_column(slots, one)] = offset[value]
-        entries.contractions += _contractions(offsets, entries.first[term.form], row_size)
-    return entries
+        contractions += _contractions_of_term(offsets, entries.first[term.form], row_size)
+    return contractions
 
 
 def _row_and_column(slots: Sequence[Slot], one: Slot) -> tuple[Slot, Slot]:
@@ -357,7 +416,7 @@ def _rule(cell: basix.CellType, degree: int) -> _Rule:
 
 def _work_space(
     elements: Sequence[basix.ufl._ElementBase],
-    functions: Sequence[_Element],
+    functions: Sequence[_FunctionElement],
     registers: int,
     entries: int,
     gdim: int,
@@ -392,10 +451,10 @@ def _work_space(
     return _WorkSpace(basis, dofs, products, first_entry, end)
 
 
-def _contractions(
+def _contractions_of_term(
     offsets: Mapping[tuple[Slot, Slot], int], first_entry: int, row_size: int
-) -> list[int]:
-    """Return the contractions of an integrand, one after the other, as ``kernel.c`` reads them.
+) -> list[_Contraction]:
+    """Return the contractions of one integrand.
 
     Args:
         offsets: Offset in bytes of the register of each factor, by its slots of rows and columns.
@@ -404,26 +463,24 @@ def _contractions(
     """
     # symmetric if A_st and A_ts are in one register for all slots s, t
     is_symmetric = all(offsets.get((u, v)) == offset for (v, u), offset in offsets.items())
-    # of each pair of components, by the derivative of columns: derivative of rows, offset, …
-    factors: dict[tuple[int, int], dict[int, list[int]]] = {}
+    # of each pair of components, by the derivative of columns
+    factors: dict[tuple[int, int], dict[int, list[tuple[int, int]]]] = {}
     for (v, u), offset in offsets.items():
         of_pair = factors.setdefault((v.component, u.component), {})
-        of_pair.setdefault(u.direction, []).extend((v.direction, offset))
-    encoded: list[int] = []
+        of_pair.setdefault(u.direction, []).append((v.direction, offset))
+    contractions: list[_Contraction] = []
     for (i, k), of_pair in factors.items():
-        if is_symmetric and i > k:
+        if is_symmetric and i > k:  # the contraction of (k, i) computes these entries, too
             continue
         row, column = next(iter(offsets))  # all have the same elements
-        encoded += [  # struct Contraction in kernel.c, which explains what follows it
-            row.element,
-            column.element,
-            first_entry + i * row_size + k,
-            first_entry + k * row_size + i if is_symmetric else -1,
-            row.components * row_size,
-            column.components,
-            len(of_pair),
-            *of_pair,
-        ]
-        for pairs in of_pair.values():
-            encoded += [len(pairs) // 2, *pairs]
-    return encoded
+        contraction = _Contraction(
+            row_element=row.element,
+            column_element=column.element,
+            first=first_entry + i * row_size + k,
+            mirrored=first_entry + k * row_size + i if is_symmetric else None,
+            row_stride=row.components * row_size,
+            column_stride=column.components,
+            factors=of_pair,
+        )
+        contractions.append(contraction)
+    return contractions

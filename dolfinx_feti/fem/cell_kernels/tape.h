@@ -3,7 +3,7 @@
 // SPDX-License-Identifier: LGPL-3.0-or-later
 
 // The instructions of tape.py. A register has POINTS vectors: one for each of N points in each of GROUPS groups of cells.
-// The C library's headers of kernel.c, too, are included here.
+// The headers of the C library that kernel.c needs are included here, too.
 
 #include <dlfcn.h>
 #include <math.h>
@@ -19,10 +19,10 @@ typedef int64_t L __attribute__((vector_size(64)));
 
 #define BROADCAST(x) ((x) + (V){0.0})
 #define UNROLL _Pragma("GCC unroll 32")
-#define EACH UNROLL for (int k = 0; k < POINTS; ++k)
+#define FOR_POINTS(k) UNROLL for (int k = 0; k < POINTS; ++k)
 
-// Vectors of a node in φ, ∂φ/∂X of an element, (nodes, 1 + GDIM, POINTS).
-enum { NODE = (1 + GDIM) * POINTS };
+// Vectors from one node to the next in φ, ∂φ/∂X of an element, (nodes, 1 + GDIM, POINTS).
+enum { NODE_STRIDE = (1 + GDIM) * POINTS };
 
 // An instruction with its operands at p; operands that are registers are offsets in bytes from R. It calls the next
 // instruction, as its last statement. gcc and clang turn such a call into a jump from -O2 on. With a compiler that does
@@ -36,44 +36,72 @@ static Instruction *const instructions[] = {INSTRUCTIONS};
 #define AT(i) ((V *)((char *)R + p[i]))
 #define NUMBERS(i) ((double *)AT(i))
 
-// x where the mask is set, else y.
-static inline V choose(L mask, V x, V y)
-{
-    return (V)((mask & (L)x) | (~mask & (L)y));
-}
-
-// An instruction that computes vector k of its result from vector k of its operands x, y, z. `count` is the number of
-// its operands, the result included. x, y and z are macros, which contain k and p of the instruction.
-#define SIMPLE(name, count, result) \
-    INSTRUCTION(name)               \
-    {                               \
-        V *const to = AT(0);        \
-        EACH to[k] = (V)(result);   \
-        NEXT(count);                \
+// An instruction without operands in registers, which computes vector k of its result. The result is an expression in k
+// and in p, R and program of the instruction. `count` is the number of its words, the result's included.
+#define VALUE(name, count, result)                      \
+    INSTRUCTION(name)                                   \
+    {                                                   \
+        V *const to = AT(0);                            \
+        FOR_POINTS(k)                                   \
+            to[k] = result;                             \
+        NEXT(count);                                    \
     }
-#define x AT(1)[k]
-#define y AT(2)[k]
-#define z AT(3)[k]
-SIMPLE(weight, 1, R[POINTS + k])
-SIMPLE(determinant, 1, R[k])
-SIMPLE(number, 2, BROADCAST(program->literals[p[1]]))
-SIMPLE(constant, 2, BROADCAST(program->constants[p[1]]))
-SIMPLE(product, 3, x * y)
-SIMPLE(quotient, 3, x / y)
-SIMPLE(lt, 3, x < y)
-SIMPLE(gt, 3, x > y)
-SIMPLE(le, 3, x <= y)
-SIMPLE(ge, 3, x >= y)
-SIMPLE(eq, 3, x == y)
-SIMPLE(ne, 3, x != y)
-SIMPLE(and_condition, 3, (L)x & (L)y)
-SIMPLE(or_condition, 3, (L)x | (L)y)
-SIMPLE(not_condition, 2, ~(L)x)
-SIMPLE(abs, 2, (L)x & INT64_MAX)
-SIMPLE(choose, 4, choose((L)x, y, z))
-#undef x
-#undef y
-#undef z
+VALUE(weight, 1, R[POINTS + k])
+VALUE(determinant, 1, R[k])
+VALUE(number, 2, BROADCAST(program->literals[p[1]]))
+VALUE(constant, 2, BROADCAST(program->constants[p[1]]))
+
+// An instruction of one operand or two. The result is an expression in their vectors, whose names are arguments, too.
+#define UNARY(name, x, result)                          \
+    INSTRUCTION(name)                                   \
+    {                                                   \
+        V *const to = AT(0);                            \
+        const V *const operand = AT(1);                 \
+        FOR_POINTS(k) {                                 \
+            const V x = operand[k];                     \
+            to[k] = (V)(result);                        \
+        }                                               \
+        NEXT(2);                                        \
+    }
+#define BINARY(name, x, y, result)                      \
+    INSTRUCTION(name)                                   \
+    {                                                   \
+        V *const to = AT(0);                            \
+        const V *const first = AT(1);                   \
+        const V *const second = AT(2);                  \
+        FOR_POINTS(k) {                                 \
+            const V x = first[k];                       \
+            const V y = second[k];                      \
+            to[k] = (V)(result);                        \
+        }                                               \
+        NEXT(3);                                        \
+    }
+BINARY(product, x, y, x * y)
+BINARY(quotient, x, y, x / y)
+BINARY(lt, x, y, x < y)
+BINARY(gt, x, y, x > y)
+BINARY(le, x, y, x <= y)
+BINARY(ge, x, y, x >= y)
+BINARY(eq, x, y, x == y)
+BINARY(ne, x, y, x != y)
+BINARY(and_condition, x, y, (L)x & (L)y)
+BINARY(or_condition, x, y, (L)x | (L)y)
+UNARY(not_condition, x, ~(L)x)
+UNARY(abs, x, (L)x & INT64_MAX) // without the sign bit
+
+// x where the mask is set, else y. Operands: result, mask, x, y.
+INSTRUCTION(choose)
+{
+    V *const to = AT(0);
+    const V *const condition = AT(1);
+    const V *const x = AT(2);
+    const V *const y = AT(3);
+    FOR_POINTS(k) {
+        const L mask = (L)condition[k];
+        to[k] = (V)((mask & (L)x[k]) | (~mask & (L)y[k]));
+    }
+    NEXT(4);
+}
 
 // The last instruction.
 INSTRUCTION(end)
@@ -93,10 +121,10 @@ INSTRUCTION(interpolate)
     const int components = p[3];
     const int nodes = p[6];
     V sum[POINTS];
-    EACH sum[k] = (V){0.0};
+    FOR_POINTS(k) sum[k] = (V){0.0};
     for (int a = 0; a < nodes; ++a)
-        EACH sum[k] += w[a * components * GROUPS + k / N] * phi[a * NODE + k];
-    EACH to[k] = sum[k];
+        FOR_POINTS(k) sum[k] += w[a * components * GROUPS + k / N] * phi[a * NODE_STRIDE + k];
+    FOR_POINTS(k) to[k] = sum[k];
     NEXT(7);
 }
 
@@ -106,21 +134,21 @@ INSTRUCTION(sum)
 {
     V *const to = AT(0);
     V s[POINTS];
-    EACH s[k] = (V){0.0};
+    FOR_POINTS(k) s[k] = (V){0.0};
     const int *const end_of_added_products = p + 5 + p[1];
     const int *const end_of_subtracted_products = end_of_added_products + p[2];
     const int *const end_of_added = end_of_subtracted_products + p[3];
     const int *const end_of_subtracted = end_of_added + p[4];
     p += 5;
     for (; p < end_of_added_products; p += 2)
-        EACH s[k] += AT(0)[k] * AT(1)[k];
+        FOR_POINTS(k) s[k] += AT(0)[k] * AT(1)[k];
     for (; p < end_of_subtracted_products; p += 2)
-        EACH s[k] -= AT(0)[k] * AT(1)[k];
+        FOR_POINTS(k) s[k] -= AT(0)[k] * AT(1)[k];
     for (; p < end_of_added; ++p)
-        EACH s[k] += AT(0)[k];
+        FOR_POINTS(k) s[k] += AT(0)[k];
     for (; p < end_of_subtracted; ++p)
-        EACH s[k] -= AT(0)[k];
-    EACH to[k] = s[k];
+        FOR_POINTS(k) s[k] -= AT(0)[k];
+    FOR_POINTS(k) to[k] = s[k];
     NEXT(0);
 }
 
@@ -141,11 +169,11 @@ enum { WIDE = 8 };
 enum { WIDE = 4 };
 #define PREFIX "_ZGVdN4"
 #endif
-typedef double M __attribute__((vector_size(8 * WIDE)));
+typedef double Wide __attribute__((vector_size(8 * WIDE)));
 static double (*const functions[])(double) = {FUNCTIONS};
 static const char *const names[] = {NAMES};
-static M (*vector_functions[sizeof names / sizeof *names])(M);
-static M (*vector_power)(M, M);
+static Wide (*vector_functions[sizeof names / sizeof *names])(Wide);
+static Wide (*vector_power)(Wide, Wide);
 
 // Look the vector functions up when the library is loaded.
 __attribute__((constructor)) static void find_functions(void)
@@ -167,12 +195,12 @@ __attribute__((constructor)) static void find_functions(void)
     {                                                                  \
         for (int l = 0; l < LANES * POINTS; l += WIDE)                 \
             if (vector_function)                                       \
-                *(M *)(NUMBERS(0) + l) = of_vector;                    \
+                *(Wide *)(NUMBERS(0) + l) = of_vector;                 \
             else                                                       \
                 for (int i = l; i < l + WIDE; ++i)                     \
                     NUMBERS(0)[i] = of_number;                         \
         NEXT(count);                                                   \
     }
-#define VECTOR(i) *(M *)(NUMBERS(i) + l)
+#define VECTOR(i) *(Wide *)(NUMBERS(i) + l)
 BY_VECTORS(function, 3, vector_functions[p[2]], vector_functions[p[2]](VECTOR(1)), functions[p[2]](NUMBERS(1)[i]))
 BY_VECTORS(power, 3, vector_power, vector_power(VECTOR(1), VECTOR(2)), pow(NUMBERS(1)[i], NUMBERS(2)[i]))
