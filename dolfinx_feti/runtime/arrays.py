@@ -18,7 +18,7 @@ Single: TypeAlias = npt.NDArray[np.float32]
 #: Dofs, nodes and cells of one process, as dolfinx and PETSc number them.
 Indices: TypeAlias = npt.NDArray[np.int32]
 
-#: Dofs, nodes and cells numbered over all processes, and counts.
+#: Dofs, nodes and cells numbered over all processes; counts; indices that numpy returns (64 bits).
 Numbers: TypeAlias = npt.NDArray[np.int64]
 
 Integers: TypeAlias = npt.NDArray[np.integer]

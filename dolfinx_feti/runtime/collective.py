@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Collective work: an error on one process is raised on all; sums, gathered arrays, warnings.
+"""Collective work: an error on one process is raised on all; sums, gathered rows, warnings.
 
 MPI waits forever for a process that has left a collective call because of an error. Work that may
 fail on one process therefore runs inside of :func:`on_all`, :func:`on_root` or

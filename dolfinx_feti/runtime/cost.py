@@ -74,7 +74,7 @@ class PeakMemory:
 
 
 def measure(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[Cost, PETSc.Vec]:
-    """Create a solver, set it up, solve for b, and destroy it. Collective.
+    """Return the cost of one solve, and the solution; destroy the solver. Collective.
 
     Args:
         create: Creates the solver of a matrix that has been assembled before the call.
@@ -92,7 +92,7 @@ def measure(create: Callable[[], PETSc.KSP], b: PETSc.Vec) -> tuple[Cost, PETSc.
 def timed_solve(
     create: Callable[[], PETSc.KSP], b: PETSc.Vec, x: PETSc.Vec
 ) -> tuple[Cost, PETSc.KSP]:
-    """Create a solver, set it up and solve for b. Collective.
+    """Return the cost of one solve, and the solver. Collective.
 
     Args:
         create: Creates the solver, or returns one that has to be set up again.

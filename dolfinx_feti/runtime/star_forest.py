@@ -3,6 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Star forests (PetscSF): roots on their owners, leaves that refer to roots of any process.
 
+For a torn matrix the roots are the owned dofs of the assembled problem, the leaves their copies.
 Floating-point numbers travel as MPI_DOUBLE, integers as MPI_INT64_T.
 """
 

@@ -273,6 +273,7 @@ def _estimate_rigid_forces(
         rigid: Rigid modes R of each on its free dofs, (n_i, k).
     """
     t = np.zeros(torn.n)
+    # Weights from 1 to 2: each mode counts, and their forces cancel only by chance.
     for s, R in zip(subdomains, rigid, strict=True):
         t[s.free_dofs] = R @ np.random.default_rng(len(s.free_dofs)).uniform(1.0, 2.0, R.shape[1])
     force = torn.multiply(t)  # K R ω

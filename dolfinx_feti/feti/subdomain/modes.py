@@ -35,7 +35,8 @@ class SubdomainModes:
             span the kernel.
         D: Its defect, (k + k_Y, k + k_Y); zero if K R = 0 and there are no soft modes.
         stabilisation: Columns Z of K₊ = K + Z Zᵀ, (n_i, negative eigenvalues of D).
-        is_exact: Whether K R = 0, and there are no soft modes. Then E = R and D = 0.
+        is_exact: Whether K R = 0, and there are no soft modes. Then D = 0, and E = R (in a scaled
+            matrix, E = s⁻² R).
         is_softened: Whether stress softens the subdomain: D has a negative eigenvalue that is not
             small compared with the stiffness of the interface (``mode_search.MIN_SOFTENING``).
         rho: The stiffness ρ.

@@ -84,6 +84,7 @@ def growth(factor: Factor, d: Array) -> float:
         d: Absolute diagonal of the block, (n_i,).
     """
     d = positive_diagonal(d)
+    # The same random vectors in every run: the decision is repeatable.
     X = np.random.default_rng(len(d)).standard_normal((len(d), PROBES))
     root = np.sqrt(d)[:, None]
     return float(np.linalg.norm(root * factor.solve(root * X)) / np.linalg.norm(X))

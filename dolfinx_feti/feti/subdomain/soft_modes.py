@@ -78,7 +78,7 @@ def soft_modes(solve: ColumnMap, weight: Array, max_count: int, threshold: float
         X = _dominant_subspace(solve, root, min(n, max_count + SPARE_COLUMNS))
     Y = solve(root * X)  # K_ρ⁻¹ k^½ X
     values, vectors = np.linalg.eigh(symmetric_part(X.T @ (root * Y)))  # 1/μ, by Rayleigh and Ritz
-    is_soft = np.flatnonzero(values * threshold > 1.0)[-max_count:]
+    is_soft = np.flatnonzero(values * threshold > 1.0)[-max_count:]  # the largest 1/μ are last
     return np.asarray(Y @ vectors[:, is_soft])
 
 
@@ -95,7 +95,7 @@ def _dominant_subspace(solve: ColumnMap, root: Array, count: int) -> Array:
     """
     n = len(root)
     X = np.random.default_rng(n).standard_normal((n, count))
-    for _ in range(SUBSPACE_STEPS - 1):
+    for _ in range(SUBSPACE_STEPS - 1):  # the caller takes the last step, by Rayleigh and Ritz
         X = root * solve(root * np.linalg.qr(X)[0])  # k^½ K_ρ⁻¹ k^½ X
     return np.linalg.qr(X)[0]
 
@@ -136,6 +136,7 @@ def buckling_modes(solve: ColumnMap, multiply: ColumnMap, n: int, count: int) ->
         count: Number of negative eigenvalues.
     """
     if n <= max(MAX_DOFS_FOR_EIGH, 2 * count + 2):  # Lanczos' method needs more than 2 count rows
+        # The inverse has eigenvalues of the same signs. They ascend: the negative ones are first.
         return np.linalg.eigh(symmetric_part(solve(np.eye(n))))[1][:, :count]
     modes = _lowest_eigenvectors(solve, n, count)
     missing = count - modes.shape[1]

@@ -286,12 +286,12 @@ class FrontFactor:
         tree = self.fronts.tree
         ranks = self.fronts.ranks
         X = np.empty(Y.shape, order="F")
-        X[ranks] = Y
+        X[ranks] = Y  # rows in the order of elimination
         if not X.size:
             return X
         columns = 1 if Y.ndim == 1 else Y.shape[1]
         size = tree.max_update_rows * columns
-        if columns > 1:
+        if columns > 1:  # C unpacks U of a front into the work space
             size = max(size, tree.max_pivots**2)
         work = np.empty(max(size, 1))
         code.lib.multifrontal_solve(

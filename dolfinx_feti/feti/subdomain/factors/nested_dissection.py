@@ -38,7 +38,7 @@ def nested_dissection(ptr: Indices, adjacent: Indices, interior: Indices) -> Ind
     Args:
         ptr: Place of the first neighbour of each node, (nodes + 1,).
         adjacent: Neighbours of all nodes, (ptr[nodes],).
-        interior: Nodes that are eliminated, (m_I,).
+        interior: Nodes that are eliminated, ascending, (m_I,).
 
     Returns:
         A permutation of the interior, (m_I,).
@@ -52,7 +52,7 @@ def nested_dissection(ptr: Indices, adjacent: Indices, interior: Indices) -> Ind
     column = column[is_edge]
     if len(row) == 0:
         return interior
-    begin = np.searchsorted(row, np.arange(len(interior) + 1))
+    begin = np.searchsorted(row, np.arange(len(interior) + 1))  # rows ascend, like the interior
     order = None
     if _is_symmetric(row, column, len(interior)):
         order = _metis_order(begin, column)

@@ -64,7 +64,7 @@ class PetscFactor:
         self._n = matrix.getSize()[0] - n_border
         self._n_border = n_border
         self._b, self._x = matrix.createVecs()
-        self._b.set(0.0)
+        self._b.set(0.0)  # a solve sets the first n_i entries; those of the border stay zero
         negative, zero_pivots = inertia_of(pc)
         self.inertia = FactorInertia(None if negative is None else negative - n_border, zero_pivots)
 
