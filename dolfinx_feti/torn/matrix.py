@@ -161,6 +161,17 @@ def _require_range(name: str, numbers: Integers, count: int, kind: str) -> None:
         )
 
 
+def _require_square_aij(K: PETSc.Mat) -> None:
+    """Check that a local matrix is square and AIJ; raise a ValueError on this process alone."""
+    rows, columns = K.getSize()
+    if rows != columns or not K.getType().startswith("seqaij"):
+        raise ValueError(
+            f"A local matrix has type '{K.getType()}' and size {rows} × {columns}, but FETI needs "
+            "square AIJ matrices with one block for each subdomain: convert it to 'seqaij', or "
+            "assemble it by subdomains."
+        )
+
+
 def set_near_kernel(
     A: PETSc.Mat, modes: Sequence[PETSc.Vec], coordinates: Array | None = None
 ) -> None:
@@ -295,7 +306,7 @@ class Torn:
 
         Raises:
             TypeError: A is not a MATIS.
-            ValueError: The local matrix is not square or not AIJ.
+            ValueError: A local matrix is not square or not AIJ. On all processes.
         """
         self.comm = A.comm.tompi4py()
         if A.getType() != PETSc.Mat.Type.IS:
@@ -306,13 +317,8 @@ class Torn:
         with Lifetime() as owned:
             self.A = owned.own(copy(A))  # another reference
             self.K = owned.own(A.getISLocalMat())
-            self.n, columns = self.K.getSize()
-            is_aij = self.K.getType().startswith("seqaij")
-            if self.comm.allreduce(self.n != columns or not is_aij, op=MPI.LOR):
-                raise ValueError(
-                    f"The local matrix has type '{self.K.getType()}' and size {self.K.getSize()}; "
-                    "FETI needs square AIJ matrices, one block per subdomain."
-                )
+            on_all(lambda: _require_square_aij(self.K), self.comm)
+            self.n = self.K.getSize()[0]
             self.first_torn_dof = self.comm.scan(self.n) - self.n
             self.N = A.getLocalSize()[0]
             self._read_pattern()

@@ -59,7 +59,7 @@ class PackedMatrix:
 
     def multiply(self, t: Array) -> Array:
         """Return S t, (n,)."""
-        return blas.dspmv(self.n, 1.0, self.values, t, lower=1) if self.n else t
+        return blas.dspmv(self.n, 1.0, self.values, t, lower=1) if self.n else np.zeros(0)
 
     def multiply_many(self, X: Array) -> Array:
         """Return S X for dense columns, (n, r)."""
