@@ -192,7 +192,7 @@ class Checkpoint:
         has_forms = content is not None and head["forms"] is not None
         compare_forms = has_forms and not self._allow_changes
         compare = partial(differences, head, here, compare_forms=compare_forms)
-        self._refuse(on_root(compare, self._comm))
+        self._require_no_differences(on_root(compare, self._comm))
         counts = [*head["past"], len(functions)]
         try:
             instants = on_all(
@@ -234,11 +234,20 @@ class Checkpoint:
                 "or start again."
             )
         if not self._allow_changes:
-            self._refuse(_parameter_differences(head["parameters"], self._parameters))
+            self._require_no_differences(
+                _parameter_differences(head["parameters"], self._parameters)
+            )
         return head
 
-    def _refuse(self, messages: list[str]) -> None:
-        """Raise a ValueError if there are messages about another problem."""
+    def _require_no_differences(self, messages: list[str]) -> None:
+        """Raise an error if the state in the folder is one of another problem.
+
+        Args:
+            messages: The differences, in words.
+
+        Raises:
+            ValueError: There is one.
+        """
         if messages:
             raise ValueError(
                 f"The checkpoint in {self.folder} is one of another problem: "

@@ -253,8 +253,9 @@ class Motion:
         """Set ũ and û so that the present u has the acceleration and velocity of the last state."""
         u = self.u.x.array
         c = float(self._inertia_factor.value)
-        # u − û = v/d: with any positive d, û gives v; zero is the factor before the first step
-        d = float(self._rate_factor.value) or 1.0
+        d = float(self._rate_factor.value)
+        if d == 0.0:  # before the first step: any positive d serves, as û = u − v/d gives v
+            d = 1.0
         self._inertial_reference.x.array[:] = u
         if c > 0.0:
             self._inertial_reference.x.array[:] -= self.acceleration.x.array / c  # ũ = u − ü/c

@@ -81,9 +81,8 @@ class PathState:
         self.at = float(at)
         self.n_earlier = n_earlier
         self._content = content
-        all_unknowns = list(dict.fromkeys([*unknowns, *content.unknowns]))
-        self._n_unknowns = len(all_unknowns)
-        self.functions = list(dict.fromkeys([*all_unknowns, *histories]))
+        self._unknowns = list(dict.fromkeys([*unknowns, *content.unknowns]))
+        self.functions = list(dict.fromkeys([*self._unknowns, *histories]))
         self.constants = list(dict.fromkeys([*content.constants, *constants]))
         self._initial = [np.array(c.value) for c in self.constants]
         #: Indices in ``constants`` of those that every step changes, or that one has changed.
@@ -117,7 +116,7 @@ class PathState:
     def extrapolate(self, at: float) -> None:
         """Set the unknowns to the polynomial through accepted states, at a load or time."""
         weights = _lagrange_weights([s.at for s in self.accepted], at)
-        for i, f in enumerate(self.functions[: self._n_unknowns]):
+        for i, f in enumerate(self._unknowns):
             values = np.zeros_like(f.x.array)
             for weight, snapshot in zip(weights, self.accepted, strict=True):
                 values += weight * snapshot.arrays[i]  # Σ w_i U_i
@@ -141,7 +140,7 @@ class PathState:
         last = self.accepted[-1]
         self._note_changed_constants(last)
         changing = sorted(self._changing)
-        arrays = [s.arrays[: self._n_unknowns] for s in earlier]
+        arrays = [s.arrays[: len(self._unknowns)] for s in earlier]
         constants_before: list[Array] | None = None
         if with_step_before:
             arrays[-1] = earlier[-1].arrays
