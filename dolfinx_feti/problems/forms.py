@@ -151,7 +151,7 @@ class Forms:
         return [self.F_u, *(equation.residual for equation in self.field_equations)]
 
 
-def as_tuple(
+def condensed_fields(
     condense: dolfinx.fem.Function | Sequence[dolfinx.fem.Function] | None,
 ) -> tuple[dolfinx.fem.Function, ...]:
     """Return the argument ``condense`` as a tuple of fields."""

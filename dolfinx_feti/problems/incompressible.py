@@ -98,9 +98,7 @@ def multiplier_tolerance(
     return volume_tolerance
 
 
-def make_fields_solvable(
-    system: System, kappa: float | None, tolerance: float | None
-) -> list[float] | None:
+def set_modulus(system: System, kappa: float | None, tolerance: float | None) -> list[float] | None:
     """Choose the modulus of incompressible fields, set it in the forms, and log it. Collective.
 
     Nothing happens if no field is incompressible. Else the matrix holds the tangent of the present

@@ -22,7 +22,7 @@ from dolfinx_feti.errors import ConvergenceError
 from dolfinx_feti.fem.assembly import assemble_owned
 from dolfinx_feti.fem.user_forms.checks import check_scalar_type
 from dolfinx_feti.problems.arguments import checked_conditions, require_function
-from dolfinx_feti.problems.forms import as_tuple, linear_forms
+from dolfinx_feti.problems.forms import condensed_fields, linear_forms
 from dolfinx_feti.problems.history import NewtonStep, proved_negative
 from dolfinx_feti.problems.incompressible import check_kappa
 from dolfinx_feti.problems.multipliers import update_until_met
@@ -145,7 +145,7 @@ class LinearProblem(TornProblem):
                 require_function(function)
 
         # which unknown is torn, which are condensed, and which are scalars
-        blocks = arrange_linear(a, L, u, as_tuple(condense))
+        blocks = arrange_linear(a, L, u, condensed_fields(condense))
         self._fields = blocks.fields
         blocks, mixed = _rewrite_mixed_of_one(blocks)
         self._mixed_solution = None if mixed is None else mixed.solution
@@ -290,7 +290,7 @@ class LinearProblem(TornProblem):
         zero = system.state.values().p
         multipliers.set(zero)
 
-        def solve(n_updates: int) -> bool:
+        def solve_once(n_updates: int) -> bool:
             fields.set_values(zero)
             self._solve(assembles_matrix=n_updates == 0)
             fields.set_values(np.concatenate([field.x.array for field in self._fields]))
@@ -299,7 +299,7 @@ class LinearProblem(TornProblem):
         updates = VolumeUpdates(multipliers, multipliers.tolerance, is_relative=True)
         self.volume_changes = updates.violations
         try:
-            update_until_met([updates], solve)
+            update_until_met([updates], solve_once)
         finally:
             fields.set_values(zero)
 

@@ -509,9 +509,10 @@ class NewtonSolve:
 
 
 class Stopwatch:
-    """Measures the time between laps; the first lap begins at its creation."""
+    """Measures the time between laps."""
 
     def __init__(self) -> None:
+        """Begin the first lap."""
         self._last = time.perf_counter()
 
     def lap(self) -> float:

@@ -39,7 +39,7 @@ from dolfinx_feti.problems.boundary import add_boundary
 from dolfinx_feti.problems.contacts import Contacts, ContactUpdates, checked_contacts
 from dolfinx_feti.problems.equations.system import Residual
 from dolfinx_feti.problems.equations.tangent import TangentId
-from dolfinx_feti.problems.forms import Forms, as_tuple, derive, volume_ratio_of
+from dolfinx_feti.problems.forms import Forms, condensed_fields, derive, volume_ratio_of
 from dolfinx_feti.problems.history import NewtonStep
 from dolfinx_feti.problems.incompressible import check_kappa
 from dolfinx_feti.problems.iteration.iterate import Start
@@ -206,7 +206,7 @@ class NonlinearProblem(TornProblem):
             u,
             bcs,
             J,
-            condense=as_tuple(condense),
+            condense=condensed_fields(condense),
             energy=energy,
             boundary=boundary,
             scalars=scalars,
@@ -513,7 +513,7 @@ class NonlinearProblem(TornProblem):
             self.contact_violations = contact.violations
         is_intermediate = not self._contacts
 
-        def solve(n_updates: int) -> bool:
+        def solve_once(n_updates: int) -> bool:
             if n_updates > 0:
                 self._history_before_update += self._newton.history
             begin = Start() if n_updates > 0 else start
@@ -521,7 +521,7 @@ class NonlinearProblem(TornProblem):
             self._run(begin)
             return self._newton.outcome.is_within_tolerances
 
-        update_until_met(constraints, solve)
+        update_until_met(constraints, solve_once)
         self._contacts.require_no_crossing(self._contact_tolerance)
         self._contacts.store_positions()
         self._contacts.update_pressures()

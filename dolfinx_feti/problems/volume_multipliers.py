@@ -19,7 +19,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_feti.problems.equations.system import System
-from dolfinx_feti.problems.incompressible import make_fields_solvable, multiplier_tolerance
+from dolfinx_feti.problems.incompressible import multiplier_tolerance, set_modulus
 from dolfinx_feti.problems.multipliers import MultiplierUpdates
 from dolfinx_feti.runtime.anderson import Anderson
 from dolfinx_feti.runtime.arrays import Array, Integers
@@ -56,7 +56,7 @@ def create_volume_multipliers(
         default_tolerance,
         has_incompressible_field=system.forms.compression is not None,
     )
-    constraint_sizes = make_fields_solvable(system, kappa, tolerance)
+    constraint_sizes = set_modulus(system, kappa, tolerance)
     if tolerance is None:
         return None
     return VolumeMultipliers(system, tolerance, constraint_sizes)
@@ -178,7 +178,8 @@ class VolumeUpdates(MultiplierUpdates):
         scales = np.split(self._scale, self._multipliers.ends)
         changes = np.split(first_change, self._multipliers.ends)
         for scale, change in zip(scales, changes, strict=True):
-            scale[:] = max_norm(self._multipliers.comm, change) or 1.0
+            largest = max_norm(self._multipliers.comm, change)
+            scale[:] = 1.0 if largest == 0.0 else largest
 
     def failure(self) -> str:
         """Return the message of volumes that are not kept, with the remedy."""

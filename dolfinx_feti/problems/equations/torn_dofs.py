@@ -21,6 +21,7 @@ class TornDofs:
     """
 
     def __init__(self, space: TornSpace) -> None:
+        """Find the local dof of each torn dof of a space."""
         dofmap = space.V.dofmap
         bs = dofmap.index_map_bs
         self._V = space.V

@@ -75,7 +75,7 @@ class LinearOutcome(Enum):
     USABLE = auto()  # a step along ΔU may follow
     UPHILL = auto()  # solved, but ΔU does not lead downhill
     INDEFINITE = auto()  # refused: a negative eigenvalue is proved, mostly before any iteration
-    NOT_FACTORED = auto()  # the set-up failed: a singular tangent (``FETI.singular``) or other
+    NOT_FACTORED = auto()  # the set-up failed, as with a singular tangent (``FETI.singular``)
     NOT_SOLVED = auto()  # the Krylov method failed
 
 

@@ -17,6 +17,7 @@ class KnownSupport:
     """
 
     def __init__(self) -> None:
+        """Create a record in which no conditions are known to support the body."""
         self._conditions: DirichletConditions | None = None
 
     def note(self, system: System) -> None:

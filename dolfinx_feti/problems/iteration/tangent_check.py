@@ -275,7 +275,9 @@ def find_mismatch(system: System, residual: Residual, d: Array) -> Finding | Non
     error = curvature / h  # e
     if not mismatch > MISMATCH_FACTOR * error:
         return None
-    size = norm(system.comm, q) or norm(system.comm, Jd)
+    size = norm(system.comm, q)
+    if size == 0.0:
+        size = norm(system.comm, Jd)
     if system.condensation is not None:  # subtract all but K_uu d: J is the form of K_uu
         ahead, behind = _residuals_around(system, 0.0 * d, h * dp)
         by_fields = np.divide(ahead - behind, 2 * h)  # K_up δp

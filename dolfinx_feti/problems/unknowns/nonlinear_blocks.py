@@ -170,9 +170,9 @@ def _with_tangents(
     """
     torn = order[0]
     v = ufl.TestFunction(unknowns[torn].function_space)
-    numbers = [_number_of(equation.mirror, unknowns) for equation in equations]
+    scalar_numbers = [_number_of(equation.mirror, unknowns) for equation in equations]
     complete = []
-    for i, equation in zip(numbers, equations, strict=True):
+    for i, equation in zip(scalar_numbers, equations, strict=True):
         for p in order[1:]:
             if J[i][p] is not None or J[p][i] is not None:
                 raise ValueError(coupling_message("J", unknowns[p], unknowns[i]))
@@ -182,7 +182,7 @@ def _with_tangents(
         ]
         blocks = {
             other.unknown: _by_test(J[i][j], tests)
-            for j, other in zip(numbers, equations, strict=True)
+            for j, other in zip(scalar_numbers, equations, strict=True)
         }
         tangent = ScalarTangent(J[torn][i], tuple(row), blocks)
         complete.append(replace(equation, tangent=tangent))

@@ -51,7 +51,7 @@ def torn_unknown(spaces: Sequence[dolfinx.fem.FunctionSpace], name: str, forms: 
     """
     if not spaces:
         raise ValueError(
-            f"{name} holds scalars on real spaces alone: give the unknown beside them."
+            f"{name} holds only scalars on real spaces: give a continuous unknown as well."
         )
     if len(spaces) == 1:
         return 0
