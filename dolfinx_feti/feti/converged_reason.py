@@ -52,13 +52,13 @@ LOGGED_ROUNDING_SHARE = 1e-7
 #: Warning about an error above :data:`LOGGED_ROUNDING_SHARE`, with the error and its tolerance.
 ERROR_FLOOR_WARNING = (
     "The linear solver ends with an estimated error of %.0e of x, which rounding leaves, above its "
-    "tolerance of %.0e: lower a penalty or a jump of the stiffness, or ask for less by ksp_rtol."
+    "tolerance of %.0e: lower a penalty or a jump of the stiffness, or raise ksp_rtol."
 )
 
 #: Cause of ``DIVERGED_NULL``: the load has a part in the null space.
 INCOMPATIBLE_LOAD = (
-    "the load is not orthogonal to the null space of A, so that nothing balances it; with "
-    "A.setTransposeNullSpace, too, PETSc takes that part out of each load"
+    "the load is not orthogonal to the null space of A, so that nothing balances it; call "
+    "A.setTransposeNullSpace, too: PETSc then removes that part from each load"
 )
 
 
@@ -229,7 +229,7 @@ def _better_options(formulation: Formulation, prefix: str) -> str:
         recommended = [f"-{prefix}feti_formulation primal"]
     scales = "reduce the range of the entries of A, such as penalties and jumps of the stiffness"
     if not recommended:
-        return f"ask for less by -{prefix}ksp_rtol, or {scales}"
+        return f"raise -{prefix}ksp_rtol, or {scales}"
     return f"use {' '.join(recommended)}, or {scales}"
 
 

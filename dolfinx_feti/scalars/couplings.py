@@ -44,7 +44,8 @@ def check_couplings(
     for i, coupling in enumerate(scalars):
         if not isinstance(coupling, Coupling):
             raise ValueError(
-                f"scalars[{i}] is {coupling!r}: give a Cavity, Windkessel or ScalarEquation."
+                f"scalars[{i}] is {coupling!r}: give a Cavity, Windkessel, ArcLength or "
+                "ScalarEquation."
             )
         work = coupling.equation.work
         if work is not None and work.arguments()[0].ufl_function_space() != V:
