@@ -331,13 +331,15 @@ class FETI:
         while True:
             info = self._attempt(ksp, b, x, iterations)
             iterations += info.iterations
+            if info.reason >= 0:
+                return replace(info, iterations=iterations)
             try:
-                has_other_way = info.reason < 0 and self._cache.prepare_retry(
+                is_retry_prepared = self._cache.prepare_retry(
                     info, allow_indefinite=self._settings.allow_indefinite
                 )
             except SetUpError as error:
                 return replace(self._failed_set_up(error, x), iterations=iterations)
-            if not has_other_way:
+            if not is_retry_prepared:
                 return replace(info, iterations=iterations)
 
     def _attempt(

@@ -35,7 +35,7 @@ def known_options() -> list[str]:
     """Return names of options, without prefix, that are proposed for a misspelt one."""
     names = [f"ksp_{name}" for name in KSP_OPTIONS]
     names += [f"snes_{name}" for name in SNES_OPTIONS]
-    names += PETSC_NUMBERS
+    names += list(PETSC_NUMBERS)
     names += [f"feti_{field.name}" for field in fields(FETIOptions)]
     for subsolver, starts in OPTIONS_OF_SUBSOLVERS.items():
         if "ksp_" in starts:

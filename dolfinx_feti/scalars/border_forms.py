@@ -77,13 +77,13 @@ class BorderForms:
             self._direction.value = unit
             if self._B is not None:
                 border.B[:, j] = assemble_owned(self._B)
-            row = self._C[j]
-            if row is not None:
-                border.C[:, j] = assemble_owned(row)
             for i, corner_row in enumerate(self._D):
                 if corner_row is not None:
                     D[i, j] = dolfinx.fem.assemble_scalar(corner_row)
         border.D[:] = total_of(D, self._comm)
+        for k, row in enumerate(self._C):
+            if row is not None:
+                border.C[:, k] = assemble_owned(row)
         return border
 
 

@@ -102,8 +102,11 @@ class ScalarSystem:
 
     def set_values(self, s: Array) -> None:
         """Set s, (m,)."""
+        first = 0
         for equation in self._equations:
-            values, s = np.split(s, [len(equation.equations)])
+            end = first + len(equation.equations)
+            values = s[first:end]
+            first = end
             equation.unknown.value = values.reshape(equation.unknown.ufl_shape)
             if equation.mirror is not None:
                 equation.mirror.x.array[:] = values

@@ -163,8 +163,8 @@ def solve(
         info = _outcome(ksp, test, may_continue=may_continue)
         last = shell.read_unknowns(solution)
         correction = _choose_correction(system, r, last, test.best, info.reason)
-        if method in GMRES_METHODS and info.iterations > MAX_GMRES_DIRECTIONS:
-            _warn_of_restart(options, system.comm)
+        if method in GMRES_METHODS:
+            _warn_if_restarted_early(options, info.iterations, system.comm)
         return correction, info
 
 
@@ -496,9 +496,9 @@ def _create_ksp(comm: MPI.Comm, method: str, options: KrylovOptions, *, max_it: 
     return ksp
 
 
-def _warn_of_restart(options: KrylovOptions, comm: MPI.Comm) -> None:
-    """Log that GMRES has restarted after fewer directions than the options name."""
-    if options.gmres_restart > MAX_GMRES_DIRECTIONS:
+def _warn_if_restarted_early(options: KrylovOptions, iterations: int, comm: MPI.Comm) -> None:
+    """Log if GMRES has restarted after fewer directions than the options name."""
+    if options.gmres_restart > MAX_GMRES_DIRECTIONS and iterations > MAX_GMRES_DIRECTIONS:
         warn(
             f"-{options.prefix}ksp_gmres_restart is {options.gmres_restart}, but GMRES stores at "
             f"most {MAX_GMRES_DIRECTIONS} directions and has restarted after them, which may cost "
