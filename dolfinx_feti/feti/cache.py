@@ -220,16 +220,17 @@ class SolverCache:
             return True
         return False
 
-    def _replace_by_dual(self, pattern: Pattern, failed: Formulation, setup: Setup) -> None:
+    def _replace_by_dual(self, pattern: Pattern, formulation: Formulation, setup: Setup) -> None:
         """Set up the dual formulation in place of one that has failed.
 
         Args:
             pattern: All that depends on the pattern.
-            failed: The formulation that has failed.
+            formulation: The formulation that has failed.
             setup: Its parts that the dual one uses, from ``setup_for_dual``.
         """
         self.formulation = None
-        failed.coarse.destroy()  # frees memory now; its owner destroys it again, without effect
+        # This frees memory now; its owner destroys it again, without effect.
+        formulation.coarse.destroy()
         self.formulation = self._create_dual(pattern, setup)
 
     def _set_up(self, pattern: Pattern) -> None:

@@ -305,14 +305,15 @@ class _OuterLoop:
         iterations = 0
         starts: list[KrylovInfo] = []
         while len(starts) <= MAX_FRESH_STARTS:
-            done = iterations_before + iterations
+            iterations_so_far = iterations_before + iterations
+            is_first_of_solve = iterations_before == 0 and not starts
             u, info = formulation.solve(
                 r,
                 u_D,
                 target=TARGET_FACTOR * residual_tolerance_of_start,
                 error_test=self._error_test(best),
                 max_it=self._goal.max_it - iterations,
-                monitor=monitors.for_start(done, is_first=iterations_before == 0 and not starts),
+                monitor=monitors.for_start(iterations_so_far, is_first=is_first_of_solve),
                 allow_indefinite=self._allow_indefinite,
             )
             starts.append(info)
@@ -332,7 +333,7 @@ class _OuterLoop:
             u_D = np.zeros_like(u_D)  # x has the prescribed values now
         x.array[:] = best.x
         remove_null_space(torn.A, x)
-        best = self._with_error(best, x, r)
+        best = self._with_error_if_missing(best, x, r)
         self._ksp.setResidualNorm(best.norm)  # infinite if no iterate is finite
         outcome = _outcome(
             starts[-1],
@@ -385,11 +386,12 @@ class _OuterLoop:
         iterate = _Iterate(x.array_r.copy(), norm, has_small_residual, norm_floor)
         if not has_small_residual:
             return iterate
-        if info.measured_error is not None and self._is_accurate(info.measured_error.residual, r):
-            return replace(iterate, error_estimate=info.measured_error.error_estimate)
+        measured = info.measured_error
+        if measured is not None and self._agrees_with_true_residual(measured.residual, r):
+            return replace(iterate, error_estimate=measured.error_estimate)
         return self._with_measured_error(iterate, r)
 
-    def _is_accurate(self, updated: Array, r: PETSc.Vec) -> bool:
+    def _agrees_with_true_residual(self, updated: Array, r: PETSc.Vec) -> bool:
         """Return True if an updated residual agrees with the true one. Collective.
 
         With a null space, False: the part of the residual in it may grow unnoticed.
@@ -418,7 +420,7 @@ class _OuterLoop:
         error_estimate, total = self._norms.ratios_of_correction(z, references)
         return replace(iterate, error_estimate=error_estimate, total_error_estimate=total)
 
-    def _with_error(self, best: _Iterate, x: PETSc.Vec, r: PETSc.Vec) -> _Iterate:
+    def _with_error_if_missing(self, best: _Iterate, x: PETSc.Vec, r: PETSc.Vec) -> _Iterate:
         """Return the best iterate with its η, which is measured if it is still missing. Collective.
 
         Args:

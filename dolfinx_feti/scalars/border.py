@@ -96,12 +96,12 @@ class BlockElimination:
         self.X = X
         self._comm = comm
         S = border.D - total_of(border.C.T @ X, comm)  # S = D − Cᵀ X
-        self._rows = np.ones(len(S))
-        self._columns = np.ones(len(S))
+        self._row_scales = np.ones(len(S))
+        self._column_scales = np.ones(len(S))
         for _ in range(SCALING_SWEEPS):
             size = np.abs(self._scaled(S))
-            self._rows /= np.sqrt(without_zeros(size.max(axis=1)))
-            self._columns /= np.sqrt(without_zeros(size.max(axis=0)))
+            self._row_scales /= np.sqrt(without_zeros(size.max(axis=1)))
+            self._column_scales /= np.sqrt(without_zeros(size.max(axis=0)))
         U, σ, Vt = on_all(lambda: np.linalg.svd(self._scaled(S)), comm)
         self._U = U
         self._singular_values = σ
@@ -110,7 +110,7 @@ class BlockElimination:
 
     def _scaled(self, S: Array) -> Array:
         """Return S with scaled rows and columns, (m, m)."""
-        return np.asarray(self._rows[:, None] * S * self._columns)
+        return np.asarray(self._row_scales[:, None] * S * self._column_scales)
 
     def solve(self, y: Array, d: Array) -> tuple[Array, Array]:
         """Return the solution for y = A⁻¹ b and d. Collective.
@@ -157,8 +157,8 @@ class BlockElimination:
         """Return S⁻¹ d, (m,); zeros if S is singular."""
         if self.is_singular:
             return np.zeros(len(d))
-        z = self._U.T @ (self._rows * d)
-        return np.asarray(self._columns * (self._Vt.T @ (z / self._singular_values)))
+        z = self._U.T @ (self._row_scales * d)
+        return np.asarray(self._column_scales * (self._Vt.T @ (z / self._singular_values)))
 
     def _absolute_inverse(self) -> Array:
         """Return the absolute values of the entries of S⁻¹, (m, m)."""

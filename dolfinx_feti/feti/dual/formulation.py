@@ -285,9 +285,9 @@ def _create_preconditioner(
     """
     B_D = matrix_objects.own(pattern.gluing.scaled_jumps(pattern.torn, setup.delta))
     stabilisation = [modes.stabilisation for modes in setup.inverse.modes]
-    create = PRECONDITIONERS[pattern.options.pc_type]
-    preconditioner: Preconditioner = matrix_objects.own(create(setup.operator, B_D, stabilisation))
-    return preconditioner
+    preconditioner_class = PRECONDITIONERS[pattern.options.pc_type]
+    preconditioner = preconditioner_class(setup.operator, B_D, stabilisation)
+    return matrix_objects.own(preconditioner)
 
 
 def _is_semidefinite(setup: Setup) -> bool:

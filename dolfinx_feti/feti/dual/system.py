@@ -166,10 +166,10 @@ class DualSystem:
             assembled system that :func:`~dolfinx_feti.feti.dual.recovery.recover` leaves; otherwise
             an estimate, because :func:`recover` does not remove G w then.
         """
-        r, w = self.project(r)  # r ← r − G w
-        y, t = self.preconditioner.apply(r)  # y = M (r − G w)
+        projected, w = self.project(r)  # r − G w
+        y, t = self.preconditioner.apply(projected)  # y = M (r − G w)
         if self.has_M_in_Q:  # v = 0
-            z = DualUnknowns(y + self._q * r, -w)  # (Q (r − G w), −w)
+            z = DualUnknowns(y + self._q * projected, -w)  # (Q (r − G w), −w)
             return z, self._norm_of_force(t)
         # The coarse solve has to communicate; the sum of ‖Tᵀ t‖² over the processes travels along.
         e = self.G.T @ y - self._D @ w
