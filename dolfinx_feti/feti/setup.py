@@ -61,7 +61,11 @@ class Inertia:
 
     @property
     def is_definite(self) -> bool:
-        """Whether the dual system is known to be positive definite on balanced pairs."""
+        """Whether the dual system is known to be positive definite on balanced pairs.
+
+        It is not about A: if the interior is eliminated, K_ρ is that of S, and an indefinite K_II
+        (``interior``) makes A indefinite as well.
+        """
         return self.dual == 0
 
 

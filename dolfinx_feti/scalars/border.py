@@ -120,7 +120,8 @@ class BlockElimination:
             d: Second right-hand side, (m,).
 
         Returns:
-            x, (N,), and s, (m,); y and zeros if S is singular.
+            x, (N,), and s, (m,). If S is singular (``is_singular``), these are y and zeros, which
+            solve nothing.
         """
         s = self.solve_for_scalars(y, d)
         return y - self.X @ s, s  # x = y − X s

@@ -6,8 +6,10 @@ r"""Derivatives of residual and equations by u and by the scalars, in UFL.
 .. math:: B\, Δs = \frac{∂r}{∂s}\, Δs, \qquad C^⊤ = \frac{∂c}{∂u}, \qquad
           D\, Δs = \frac{∂c}{∂s}\, Δs
 
-for a direction Δs. Each is the user's own (:class:`~dolfinx_feti.scalars.equations.ScalarTangent`),
-or derived: the constants of the unknowns are replaced by UFL variables.
+for a direction Δs: :func:`column_in` returns B Δs, :func:`row_of` a row of :math:`C^⊤`, and
+:func:`corner_row_in` a row of D Δs. Each is the user's own
+(:class:`~dolfinx_feti.scalars.equations.ScalarTangent`), or derived: the constants of the unknowns
+are replaced by UFL variables.
 """
 
 from __future__ import annotations

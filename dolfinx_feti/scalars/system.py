@@ -175,7 +175,8 @@ class ScalarSystem:
 
         Args:
             u: Size of u at each dof, (N,).
-            h: Size of the cells at each dof, (N,), if u is a displacement; else zero.
+            h: Size of the cells at each dof, (N,), if u is a displacement: the scales then do not
+                vanish with u. Zero for any other u.
         """
         squares = (self.border.C**2 * (u**2 + np.square(h))[:, None]).sum(axis=0)
         change_by_u = np.sqrt(total_of(squares, self._comm))

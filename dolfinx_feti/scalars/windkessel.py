@@ -42,7 +42,8 @@ class Windkessel(Coupling):
         cavity: The cavity; its pressure p is the unknown.
         inflow: q [mm³/s], whose value may change.
         history: (Δt₀, V_n, V_{n−1}, p_{c,n}, p_{c,n−1}), (5,): all that a step needs of earlier
-            ones. It is a Constant of the equation: paths restore the Constants of the forms.
+            ones. It is a Constant because paths restore the Constants of the forms after a failed
+            step.
     """
 
     def __init__(
