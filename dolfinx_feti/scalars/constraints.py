@@ -33,17 +33,19 @@ def mean_value(
         ValueError: The value is not finite, or has another shape.
     """
     mesh = u.function_space.mesh
-    n = u.ufl_shape
+    shape = u.ufl_shape
     dx = ufl.Measure("dx", mesh) if dx is None else dx
     require_finite(value=value)
     mean = ufl.as_ufl(value)
-    if n and not mean.ufl_shape:
-        mean = mean * ufl.as_vector([1.0] * n[0])
-    if mean.ufl_shape != n:
-        raise ValueError(f"value has the shape {mean.ufl_shape}: give a number or the shape {n}.")
-    λ = dolfinx.fem.Constant(mesh, np.zeros(n))
+    if shape and not mean.ufl_shape:
+        mean = mean * ufl.as_vector([1.0] * shape[0])
+    if mean.ufl_shape != shape:
+        raise ValueError(
+            f"value has the shape {mean.ufl_shape}: give a number or the shape {shape}."
+        )
+    λ = dolfinx.fem.Constant(mesh, np.zeros(shape))
     difference = u - mean
-    components = [difference[i] for i in range(n[0])] if n else [difference]
+    components = [difference[i] for i in range(shape[0])] if shape else [difference]
     equations = tuple(component * dx for component in components)
     return ScalarEquation(λ, equations, ufl.inner(λ, ufl.TestFunction(u.function_space)) * dx)
 

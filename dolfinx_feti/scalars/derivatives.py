@@ -39,12 +39,12 @@ def _derivative_by_constants(
         return ufl.Form([])
     s = {unknown: ufl.variable(unknown) for unknown, _ in parts}
 
-    def by(integrand: Expr) -> Expr:
+    def derivative_of(integrand: Expr) -> Expr:
         """Return the derivative of an integrand."""
         return sum(ufl.inner(ufl.diff(integrand, s[unknown]), ds) for unknown, ds in parts)
 
     integrals = ufl.replace(form, s).integrals()
-    return ufl.Form([i.reconstruct(integrand=by(i.integrand())) for i in integrals])
+    return ufl.Form([i.reconstruct(integrand=derivative_of(i.integrand())) for i in integrals])
 
 
 def with_trial(form: ufl.Form, value: Expr) -> ufl.Form:

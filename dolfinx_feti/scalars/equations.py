@@ -116,7 +116,7 @@ class ScalarEquation(Coupling):
                 "equations: give a scalar constant and one, or a vector and one for each component."
             )
         ranks = [len(c.arguments()) if isinstance(c, ufl.Form) else None for c in self.equations]
-        if any(ranks) or None in ranks:
+        if any(rank != 0 for rank in ranks):
             raise ValueError("The equations of scalars are forms without test or trial functions.")
         if self.work is not None and len(self.work.arguments()) != 1:
             raise ValueError("The work of scalars is a form with a test function of u alone.")

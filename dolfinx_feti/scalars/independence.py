@@ -62,20 +62,20 @@ def _check_columns(columns: Array, corner: Array, is_free: Mask, name: str, comm
     size = np.sqrt(gram.diagonal())
     is_coupled = np.abs(corner).max(axis=0, initial=0.0) > 0.0  # with another scalar
     is_zero = size <= ROUNDING_SHARE * np.sqrt(all_squares)
-    idle = np.flatnonzero(is_zero & ~is_coupled)
-    if len(idle):
+    without_effect = np.flatnonzero(is_zero & ~is_coupled)
+    if len(without_effect):
         raise ValueError(
-            f"The scalar {name} {idle.tolist()} depend neither on a free dof of u nor on "
+            f"The scalar {name} {without_effect.tolist()} depend neither on a free dof of u nor on "
             "another scalar, so that no solve can satisfy them. Look at the Dirichlet "
             "conditions and at the measures."
         )
-    alone = np.flatnonzero(~is_coupled)
-    if not len(alone):
+    uncoupled = np.flatnonzero(~is_coupled)
+    if not len(uncoupled):
         return
-    normalised = gram[np.ix_(alone, alone)] / np.outer(size[alone], size[alone])
+    normalised = gram[np.ix_(uncoupled, uncoupled)] / np.outer(size[uncoupled], size[uncoupled])
     values, vectors = scipy.linalg.eigh(normalised)
     if values[0] < DEPENDENT_SINE**2:
-        dependent = alone[np.abs(vectors[:, 0]) > NAMED_ENTRY]
+        dependent = uncoupled[np.abs(vectors[:, 0]) > NAMED_ENTRY]
         raise ValueError(
             f"The scalar {name} {dependent.tolist()} depend on each other, so that they "
             "contradict each other or leave a multiplier free: leave one of them out."

@@ -20,7 +20,6 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
 from dolfinx_feti.feti.regularity.bodies import find_bodies
@@ -85,7 +84,7 @@ class PointSprings:
         if not self.count:
             yield
             return
-        before = [K.getValue(dof, dof) for dof in self._dofs]
+        before = np.array([K.getValue(dof, dof) for dof in self._dofs])
         is_unchanged = K.stateGet() == self._state_without
         self._set_diagonal(K, before + self._local_κ)
         if is_unchanged:
@@ -99,9 +98,9 @@ class PointSprings:
                 K.stateSet(self._state_without)
             self._state_without = K.stateGet()
 
-    def _set_diagonal(self, K: PETSc.Mat, values: npt.ArrayLike) -> None:
+    def _set_diagonal(self, K: PETSc.Mat, values: Array) -> None:
         """Write the diagonal of the local matrix at the dofs of the springs."""
-        for dof, value in zip(self._dofs, np.asarray(values), strict=True):
+        for dof, value in zip(self._dofs, values, strict=True):
             K.setValue(dof, dof, value)
         K.assemble()
         K.stateIncrease()
@@ -150,8 +149,8 @@ def _choose_dofs(W: Array, comm: MPI.Comm) -> tuple[Numbers, Numbers]:
     last = sum(map(len, candidates[: comm.rank + 1]))
     first = last - len(local)
     chosen = on_all(lambda: _independent_rows(np.vstack(candidates), k), comm)
-    springs = np.flatnonzero((chosen >= first) & (chosen < last))  # of this process
-    return local[chosen[springs] - first], springs
+    numbers = np.flatnonzero((chosen >= first) & (chosen < last))  # of the springs of this process
+    return local[chosen[numbers] - first], numbers
 
 
 def _independent_rows(X: Array, k: int) -> Numbers:
