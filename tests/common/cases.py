@@ -10,9 +10,13 @@ from collections.abc import Iterable, Mapping
 import pytest
 from ids import typable
 
+from dolfinx_feti.feti.interface.scaling import SCALINGS
+
 every_type = pytest.mark.parametrize("kind", ["all_floating", "classical"])
 every_interior = pytest.mark.parametrize("interior", ["keep", "eliminate"])
 every_formulation = pytest.mark.parametrize("formulation", ["dual", "primal"])
+every_scaling = pytest.mark.parametrize("scaling", SCALINGS)
+every_q = pytest.mark.parametrize("q", ["identity", "diagonal", "preconditioner"])
 
 
 def case(subdomains: tuple, cells: tuple, components: int = 1, **more: object) -> dict:

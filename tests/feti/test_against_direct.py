@@ -32,6 +32,7 @@ import ufl
 
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.fem.decomposition import tear
+from dolfinx_feti.feti.interface.scaling import SCALINGS
 
 TOLERANCE = 1e-7  # for a residual of 1e-10 and condition numbers up to 1e3
 
@@ -53,9 +54,7 @@ def test_every_scaling_and_projection_gives_the_direct_solution(kind, degree, pc
     expected = problem.solve_directly()
     linear.solve()
     x = linear.A.createVecRight()
-    for scaling, q in itertools.product(
-        ("stiffness", "multiplicity"), ("preconditioner", "diagonal", "identity")
-    ):
+    for scaling, q in itertools.product(SCALINGS, ("preconditioner", "diagonal", "identity")):
         options = {"type": kind, "pc_type": pc_type, "scaling": scaling, "coarse_q": q}
         names = {f"feti_{name}": value for name, value in options.items()}
         ksp = create_ksp(linear.A, ksp_rtol=1e-10, **names)

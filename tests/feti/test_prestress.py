@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import every_type
+from cases import every_scaling, every_type
 from collective import COMM, agree, equal, norm, random_part, small
 from mixed import by_place, errors_of_solves, solve_assembled
 from modes import modes_of
@@ -71,7 +71,7 @@ def test_every_tangent_of_the_load_is_solved(degree, tangent):
 
 
 @every_type
-@pytest.mark.parametrize("scaling", ["stiffness", "multiplicity"])
+@every_scaling
 def test_every_type_and_scaling_is_solved_under_pressure(kind, scaling):
     """Linear solves agree with MUMPS in each Newton step, for P1 and P2."""
     for degree, subdomains in ((1, 6), (2, 3)):

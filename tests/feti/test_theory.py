@@ -18,6 +18,7 @@ from hand_torn import random_values, solve, solved
 
 from dolfinx_feti.feti.dual import krylov
 from dolfinx_feti.feti.dual.recovery import recover
+from dolfinx_feti.feti.interface.scaling import SCALINGS
 from dolfinx_feti.feti.subsolver_options import KrylovOptions
 
 ROUNDING = 1e-6
@@ -115,9 +116,7 @@ def test_no_eigenvalue_below_one(grid, kind, torn_grid, create_ksp):
     """
     problem = torn_grid(**grid)
     for pc_type, scaling, q in itertools.product(
-        ("dirichlet", "lumped"),
-        ("stiffness", "multiplicity"),
-        ("preconditioner", "diagonal", "identity"),
+        ("dirichlet", "lumped"), SCALINGS, ("preconditioner", "diagonal", "identity")
     ):
         options = {"pc_type": pc_type, "scaling": scaling, "coarse_q": q}
         low, high = spectrum(create_ksp, problem, type=kind, **options)

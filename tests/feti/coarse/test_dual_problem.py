@@ -7,17 +7,17 @@ from petsc4py import PETSc
 
 import numpy as np
 import pytest
-from cases import each, every_type
+from cases import each, every_q, every_type
 from collective import COMM, agree, dense, equal, matrix_of_map, small, whole
 from hand_torn import scaled_diagonal
 from modes import modes_of, on_torn_dofs
 
+from dolfinx_feti.feti.coarse.dual_problem import DIAGONAL_SHARE
+
 SEED = 33107
 
-every_q = pytest.mark.parametrize("q", ["identity", "diagonal", "preconditioner"])
 
-
-def dense_weight(problem, formulation, q):
+def dense_projection_weight(problem, formulation, q):
     """Return the weight Q of the projection by its definition, (m, m)."""
     B_D = dense(formulation.preconditioner.B_D.matrix)
     if q == "identity":
@@ -26,7 +26,7 @@ def dense_weight(problem, formulation, q):
     if q == "diagonal":
         return Q
     M = matrix_of_map(lambda r: formulation.preconditioner.apply(r)[0], formulation.system.m)
-    return M + 0.01 * Q
+    return M + DIAGONAL_SHARE * Q
 
 
 @every_type
@@ -45,7 +45,7 @@ def test_coarse_matrix_and_projection_agree_with_dense_formulas(
     G, N, D = (dense(M) for M in (coarse.G, coarse.N, coarse.D))
     QG = matrix_of_map(formulation.system.weighted_jump, coarse.n_c)
     equal(G, B @ E, 1e-13)
-    equal(QG, dense_weight(problem, formulation, q) @ G, 1e-11)
+    equal(QG, dense_projection_weight(problem, formulation, q) @ G, 1e-11)
     equal(N, G.T @ QG + D, 1e-12)
     equal(N, N.T, 1e-12)
     f = np.random.default_rng(SEED + COMM.rank).standard_normal(n)

@@ -8,7 +8,7 @@ import itertools
 import numpy as np
 import paper_cube
 import pytest
-from cases import case, each, every_type
+from cases import case, each, every_scaling, every_type
 from collective import COMM, agree, dense, equal, whole
 from hand_torn import nowhere
 
@@ -125,7 +125,7 @@ def test_scaled_jumps_give_a_projection(grid, kind, stiffness, create_gluing, li
 
 
 @every_grid
-@pytest.mark.parametrize("scaling", SCALINGS)
+@every_scaling
 def test_weights_of_a_scaling_sum_to_one(grid, scaling, create_gluing):
     """Tᵀ δ T = I for all scalings, and δ = k / Σ k for those with a formula in STIFFNESS."""
     problem, torn, _ = create_gluing(grid)

@@ -8,7 +8,7 @@ from petsc4py import PETSc
 import numpy as np
 import primal_form
 import pytest
-from cases import case, each, every_interior, every_type
+from cases import case, each, every_interior, every_scaling, every_type
 from collective import COMM, agree, dense, equal, matrix_of_map, random_part, small, whole
 from hand_torn import (
     one_sided,
@@ -204,7 +204,7 @@ def test_operators_of_an_unsymmetric_matrix_agree_with_dense_formulas(
     problem = torn_grid(change=unsymmetric(0.1), **WIDE)
     primal = create_unsymmetric_primal(problem, type=kind, coarse_modes=2)
     system = primal.system
-    V = primal.coarse.V
+    basis = primal.coarse.V
     torn = primal.pattern.torn
     rows = whole(system.copies.dofs + torn.first_torn_dof)
     inside = np.setdiff1d(np.flatnonzero(~whole(primal.pattern.is_fixed)), rows)
@@ -216,7 +216,7 @@ def test_operators_of_an_unsymmetric_matrix_agree_with_dense_formulas(
     A = T.T @ (K[np.ix_(rows, rows)] - K[np.ix_(rows, inside)] @ X) @ T
     equal(dense_on_assembled_vectors(lambda x: -system.residual(zero, x), primal, T), A, 1e-11)
     average = T.T * whole(system.copies.delta)
-    V = average @ matrix_of_map(V.prolong, V.n_c)
+    V = average @ matrix_of_map(basis.prolong, basis.n_c)
     coarse = V @ np.linalg.pinv(V.T @ A @ V, rcond=1e-10) @ V.T
     solve = primal.preconditioner.inverse.solve_regularised_on_interface
     K_ρ = np.linalg.inv(matrix_of_map(solve, system.copies.size))
@@ -301,7 +301,7 @@ def test_gmres_solves_unsymmetric_matrices(share, skew, kind, torn_grid, create_
 
 
 @pytest.mark.parametrize("components", [1, 2])
-@pytest.mark.parametrize("scaling", ["stiffness", "multiplicity"])
+@every_scaling
 def test_gmres_solves_unsymmetric_patterns(scaling, components, torn_grid, create_ksp):
     """Entries have no mirror, so that ½ (K + Kᵀ) has another pattern than K, and other rows."""
     problem = torn_grid((3, 2), (7, 7), components=components, change=one_sided(0.02))
