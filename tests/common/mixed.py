@@ -127,7 +127,7 @@ class Mixed:
         """Assemble r_u, r_p without boundary conditions."""
         return np.concatenate([dolfinx.fem.assemble_vector(form).array.copy() for form in self._r])
 
-    def step(self) -> tuple[Array, Array]:
+    def increments(self) -> tuple[Array, Array]:
         """Return the increments of a Newton step, Δu, and Δp of all fields in a row."""
         n = len(self.body.u.x.array)
         r = self.residual()
@@ -138,14 +138,15 @@ class Mixed:
             gap = np.zeros(n)
             bc.set(gap, self.body.u.x.array, -1.0)  # u − g
             dofs = bc._cpp_object.dof_indices()[0]
-            step[dofs], fixed[dofs] = -gap[dofs], True
+            step[dofs] = -gap[dofs]
+            fixed[dofs] = True
         free = ~fixed
         step[free] = solve_sparse(K[free][:, free], -(r + K @ step)[free])
         return step[:n], step[n:]
 
-    def go(self) -> Array:
+    def make_step(self) -> Array:
         """Add the increments of a Newton step to the state; return Δu."""
-        du, dp = self.step()
+        du, dp = self.increments()
         self.body.u.x.array[:] += du
         ends = np.cumsum([len(p.x.array) for p in self.body.fields])
         for p, part in zip(self.body.fields, np.split(dp, ends[:-1]), strict=True):
@@ -155,7 +156,7 @@ class Mixed:
     def solve(self, *, tolerance: float = 1e-12, steps: int = 12) -> None:
         """Make full Newton steps until they are small."""
         for _ in range(steps):
-            du = self.go()
+            du = self.make_step()
             if np.linalg.norm(du) <= tolerance * np.linalg.norm(self.body.u.x.array):
                 return
         raise AssertionError(f"the reference did not converge: |du| = {np.linalg.norm(du)}")

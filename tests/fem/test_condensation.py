@@ -63,7 +63,7 @@ def test_condensed_step_of_any_element_is_the_mixed_one(element, kappa, torn_sys
     body, alone = (block(comm, element, kappa) for comm in (COMM, MPI.COMM_SELF))
     body.deform()
     alone.deform()
-    alone.u.x.array[:], values = Mixed(alone).step()
+    alone.u.x.array[:], values = Mixed(alone).increments()
     place(alone, values)
     du, values = step(torn_system(body))
     body.u.x.array[: len(du)] = du

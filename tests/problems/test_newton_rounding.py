@@ -44,7 +44,7 @@ class Reference(Mixed):
             start = start or norm
             if norm <= 1e-8 * start:
                 return steps
-            self.go()
+            self.make_step()
         raise AssertionError("the reference did not converge")
 
 
