@@ -182,12 +182,12 @@ def clean() -> Iterator[None]:
     yield
     collect()
     comms = [COMM, *(mesh.comm for mesh in _meshes if mesh.comm.size > 1)]
-    left = [garbage(comm) for comm in comms]
+    waiting = [garbage(comm) for comm in comms]
     for comm in comms:
         PETSc.garbage_cleanup(comm)
     _meshes.clear()
     COMM.Barrier()
-    assert not any(left), "".join(left)
+    assert not any(waiting), "".join(waiting)
     assert PETSc.Options().getAll() == before
 
 

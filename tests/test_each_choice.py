@@ -25,7 +25,7 @@ def test_combination_is_recorded(letter, one, other):
 def test_chosen_combinations_have_every_value():
     """One process runs all combinations; several run four, with every letter and every pair."""
     if not COMBINATIONS:
-        pytest.skip("test_combination, whose choice this looks at, is not selected")
+        pytest.skip("test_combination_is_recorded, whose choice is checked here, is not selected")
     if COMM.size == 1:
         agree(sorted(COMBINATIONS) == sorted(itertools.product(LETTERS, PAIRS)), COMBINATIONS)
     else:

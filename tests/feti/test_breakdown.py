@@ -342,11 +342,11 @@ def test_following_the_advice_leads_to_convergence(torn_grid, create_ksp, monkey
                 ksp, Reason.DIVERGED_BREAKDOWN, "stagnates", "-test_feti_pc_type dirichlet"
             )
             agree(0 < ksp.getIterationNumber() < 500)
-        advice = recommended_options(messages[-1])
+        recommended = recommended_options(messages[-1])
         if messages[-1]:
-            agree(advice, messages)
-        agree(all(options[name] != value for name, value in advice), messages)
-        options |= dict(advice)
+            agree(recommended, messages)
+        agree(all(options[name] != value for name, value in recommended), messages)
+        options |= dict(recommended)
     agree(len(messages) > 1 and messages[-1] == "", messages)
 
 
@@ -360,14 +360,14 @@ def test_slow_dual_solve_recommends_the_primal_formulation(pc_type, torn_grid, c
         ksp = create_ksp(problem.A, ksp_max_it=max_it, **prefixed)
         solve_once(ksp, problem)
         message = ksp.getPythonContext().message
-        advice = dict(recommended_options(message))
+        recommended = dict(recommended_options(message))
         agree((max_it > 2) == (message == ""), message)
         expected = {"formulation": "primal"}
         if pc_type != "dirichlet":
             expected |= {"pc_type": "dirichlet"}
         if message:
-            agree(advice == expected, message)
-        options |= advice
+            agree(recommended == expected, message)
+        options |= recommended
 
 
 UNFIT_FOR_UNSYMMETRIC = [

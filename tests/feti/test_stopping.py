@@ -128,6 +128,7 @@ def test_every_method_is_accurate_beside_a_penalty(share, options, kind, torn_gr
     A share of the entries of an unsymmetric matrix is random.
     """
     k = 1e9
+    ends = np.arange(63, 70)  # the nodes with the largest x₀ of 10 × 7
     disturb = unsymmetric(share)
 
     def change(K, dofs):
@@ -136,7 +137,6 @@ def test_every_method_is_accurate_beside_a_penalty(share, options, kind, torn_gr
             at_end = np.isin(own // 2, ends)
             K_i[at_end, at_end] += k
 
-    ends = np.arange(63, 70)  # the nodes with the largest x₀ of 10 × 7
     problem = torn_grid(change=change, **case((3, 2), (3, 3), 2))
     values = random_values(problem)
     values[np.isin(np.arange(len(values)) // 2, ends)] *= k

@@ -216,11 +216,10 @@ def test_symmetry_is_judged_entry_by_entry(kappa, lifetime):
         skew = K.copy()
         skew[i, j] += 1e-8 * np.sqrt(K[i, i] * K[j, j])
         agree(not symmetric(skew), f"entry ({i}, {j})")
-    row_sums_zero = np.roll(
-        np.eye(n), 1, axis=1
-    )  # what a rigid motion does not feel: rows that sum to 0
+    cyclic = np.roll(np.eye(n), 1, axis=1)
+    skew = cyclic - cyclic.T  # rows sum to zero, which a rigid motion does not detect
     roots = np.sqrt(np.outer(K.diagonal(), K.diagonal()))
-    agree(not symmetric(K + 1e-9 * (row_sums_zero - row_sums_zero.T) * roots))
+    agree(not symmetric(K + 1e-9 * skew * roots))
     for units in (1.0, 1e-12, 1e12):  # an entry without counterpart, and no diagonal on either side
         saddle = units * K
         saddle[[20, 25], [20, 25]] = saddle[20, 25] = saddle[25, 20] = 0.0
@@ -237,8 +236,8 @@ def test_probe_sees_entries_that_nearly_cancel_in_their_rows():
     n = 30
     weights = np.random.default_rng(n).uniform(1.0, 2.0, n)  # as in the probe
     rows = np.argsort(weights)
-    k = int(np.argmin(np.abs(weights[rows[2:]] - weights[rows[:-2]] - 0.03)))
-    i, j, k = rows[k : k + 3]
+    first = int(np.argmin(np.abs(weights[rows[2:]] - weights[rows[:-2]] - 0.03)))
+    i, j, k = rows[first : first + 3]
     K = np.eye(n)
     for a, b in ((i, j), (j, k), (k, i)):
         K[a, b] = symmetry.SYMMETRY_RTOL
