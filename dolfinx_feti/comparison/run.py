@@ -4,8 +4,8 @@
 """FETI and other solvers on the same problem, one after the other (docs/comparing.md).
 
 Residuals and differences are measured on the free dofs of the same assembled system. The direct
-solution is the reference for the others if its residual is small; if that of Cholesky factors is
-not, LU factors are used.
+solution is the reference for the others if its residual is small. If that of a Cholesky
+factorisation is too large, LU factors are tried.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from dolfinx_feti.text_tables import Cell, json_value, text_table
 
 __all__ = ["Comparison", "SolverResult", "compare"]
 
-#: Headings of the columns of the table; that of the notes has none.
+#: Headings of the columns of the table. The column of notes has none.
 HEADINGS = (
     "solver",
     "iterations",
@@ -55,30 +55,30 @@ HEADINGS = (
     "",
 )
 
-#: ‖f − K x‖/‖f‖ up to which a direct solution is a reference. A bound, not a measurement: factors
-#: of well-conditioned systems leave 1e-14, those that this refuses have lost most digits.
+#: ‖f − K x‖/‖f‖ up to which a direct solution is a reference: a choice. Factors of well-conditioned
+#: systems leave 1e-14. A solution above the bound has lost most of its digits.
 REFERENCE_RTOL = 1e-6
 
-#: Residual over the tolerance up to which there is no note: Krylov methods stop by a norm that
-#: rounding separates a little from the one that is measured here.
+#: Residual over the tolerance above which a result gets a note. A Krylov method updates the norm by
+#: which it stops, and rounding makes it differ a little from the norm that is measured here.
 RESIDUAL_MARGIN = 1.1
 
-#: Options of PETSc by the name of the solver.
+#: PETSc's options by the name of the solver. None and an empty dict mean those of ``SOLVERS``.
 Solvers = Mapping[str, Mapping[str, object] | None]
 
 
 @dataclass(frozen=True, slots=True)
 class SolverResult:
-    """One solver's part in a comparison.
+    """The result of one solver.
 
     Attributes:
         solver: Its name.
         cost: Its time, memory and iterations; None if PETSc raised an error.
         relative_residual: ‖f − K x‖/‖f‖ on the free dofs; nan without a solution.
-        error_estimate: FETI's own estimate of the relative error of x; nan of other solvers.
-        difference_to_direct: ‖x − x_d‖/‖x_d‖; nan without a direct solution that is a reference.
-        note: Why the solver failed, why its residual is too large, or how it differs from its
-            options; an empty string without such a remark.
+        error_estimate: FETI's own estimate of the relative error of x; nan for other solvers.
+        difference_to_direct: ‖x − x_d‖/‖x_d‖; nan if no direct solution x_d is accurate enough.
+        note: Why the solver failed, that its residual is above the tolerance, or that LU replaced
+            Cholesky factors; empty without such a remark.
     """
 
     solver: str
@@ -90,7 +90,7 @@ class SolverResult:
 
     @property
     def converged(self) -> bool:
-        """Whether there is a solution."""
+        """Whether the solver converged."""
         return self.cost is not None and self.cost.converged_reason > 0
 
 
@@ -103,8 +103,8 @@ class Comparison:
         subdomains: Their number over all processes.
         processes: Their number.
         rtol: Relative tolerance of the residual for the iterative solvers.
-        results: One for each solver, in the order of the user.
-        left_out: Name of each solver that was omitted, and the reason.
+        results: One for each solver, in the order of the argument ``solvers``.
+        left_out: Pairs of an omitted solver and the reason.
     """
 
     dofs: int
@@ -138,7 +138,7 @@ class Comparison:
         return records
 
     def __str__(self) -> str:
-        """Return the table, and a line for each omitted solver."""
+        """Return the table, followed by a line for each omitted solver."""
         rows = []
         for result in self.results:
             cells = _cells(result)
@@ -176,7 +176,7 @@ def _cells(result: SolverResult) -> dict[str, Cell]:
 
 
 def _seconds(value: float, heading: str) -> str:
-    """Format a time below the right end of its heading; a table aligns text to the left."""
+    """Format a time as text that is as wide as its heading, with the number on the right."""
     return f"{value:.2f}".rjust(len(heading))
 
 
@@ -256,8 +256,9 @@ def compare(
             mean those of ``SOLVERS``. A solver whose options all begin with ``feti_`` is FETI with
             these in place of the problem's own, such as
             ``{"dual": {"feti_formulation": "dual"}}``.
-        definite: Whether the assembled matrix is symmetric positive definite, which other solvers
-            use; if not given, True if FETI is among the solvers and proves it.
+        definite: Whether the assembled matrix is symmetric positive definite. This is passed to the
+            solvers other than FETI. By default it is True if FETI is among the solvers and proves
+            it.
 
     Returns:
         The comparison: ``print`` it, or use its ``records``. Solvers whose package PETSc was built
@@ -320,6 +321,7 @@ def _assemble(problem: LinearProblem | NonlinearProblem, owned: Lifetime) -> _Li
             "The right-hand side of the problem is zero, and so is every solution: set a load "
             "before the solvers are compared."
         )
+    # from a solver that is not set up: options in PETSc's database may change the tolerance
     rtol = owned.own(problem.create_linear_solver()).getTolerances()[0]
     return _LinearSystem(A, b, K, f, dirichlet, rtol)
 
@@ -330,11 +332,11 @@ def _solve_by_feti(
     system: _LinearSystem,
     owned: Lifetime,
 ) -> dict[str, _Outcome]:
-    """Solve by FETI with the options of each solver. Collective.
+    """Solve with FETI, under the options of each solver. Collective.
 
     Args:
         problem: The problem. The options of a solver replace those of the problem.
-        solvers: The solvers, which are FETI.
+        solvers: The solvers, all of the kind FETI.
         system: The linear system.
         owned: Owner of the solutions, which destroys them.
 
@@ -351,7 +353,7 @@ def _solve_by_feti(
 def _solve_by_others(
     solvers: Sequence[Solver], system: _LinearSystem, owned: Lifetime, *, is_definite: bool
 ) -> dict[str, _Outcome]:
-    """Solve by solvers that are not FETI. Collective.
+    """Solve with solvers other than FETI. Collective.
 
     Args:
         solvers: The solvers.
@@ -384,7 +386,7 @@ def _solve_by_others(
 
 
 def _results(system: _LinearSystem, outcomes: Mapping[str, _Outcome]) -> tuple[SolverResult, ...]:
-    """Measure all solutions in the same way. Collective.
+    """Compute the residual of each solution and its difference from the reference. Collective.
 
     Args:
         system: The linear system.
@@ -424,7 +426,7 @@ def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec, owned: Lifetime) -> _O
     """Solve with one solver; a failure becomes a note. Collective.
 
     Args:
-        create: Creates the solver; its set-up, too, is measured.
+        create: Creates the solver; the measured time includes it.
         b: Right-hand side.
         owned: Owner of the solution, which destroys it.
     """
@@ -441,7 +443,8 @@ def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec, owned: Lifetime) -> _O
     )
     feti = _feti_of(ksp)
     if feti is not None:
-        # a proof: no negative eigenvalue in K_ρ and D, nor in K_II where it was factored
+        # K is positive definite if K_ρ, D and K_II have no negative eigenvalue; the number for K_II
+        # is None if it is not factored, and K_ρ then includes the interior
         inertia = feti.inertia
         is_proved = inertia is not None and inertia.is_definite and not inertia.interior
         outcome = replace(outcome, proves_definite=is_proved)
@@ -476,7 +479,9 @@ def _failure(ksp: PETSc.KSP) -> str:
 
 
 def _solve_directly(K: PETSc.Mat, f: PETSc.Vec, owned: Lifetime) -> _Outcome:
-    """Solve by MUMPS: a symmetric system by Cholesky, then by LU if the residual is too large.
+    """Solve with MUMPS: with Cholesky factors if K is symmetric, with LU factors if they fail.
+
+    Cholesky factors have failed if the residual is above ``REFERENCE_RTOL``.
 
     Args:
         K: Assembled matrix.

@@ -3,9 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """The assembled counterpart of a torn system, and the solvers that FETI is compared with.
 
-A solver is a dict of PETSc's options. The Krylov method is CG for a symmetric matrix and GMRES for
-any other, unless the options name one; it stops by the norm of the true residual. The options'
-prefix is the solver's name; options of the user in PETSc's database override them.
+A solver has a name and a dict of PETSc's options. Unless the options name a Krylov method, it is CG
+for a symmetric matrix and GMRES for any other. It stops by the norm of the true residual. The name
+is also the prefix of the solver's options in PETSc's database, which override those of the dict.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ __all__ = [
     "relative_residual",
 ]
 
-#: Default solvers of a comparison, and their options without prefix. Cholesky becomes LU if the
-#: matrix is not symmetric. FETI and BDDC use the torn matrix, the others use the assembled one.
+#: Default solvers of a comparison, and their options without prefix. If the matrix is not
+#: symmetric, LU replaces Cholesky. FETI and BDDC use the torn matrix, the others the assembled one.
 SOLVERS: dict[str, Mapping[str, object]] = {
     "feti": {},
     "mumps": {
@@ -51,16 +51,16 @@ SOLVERS: dict[str, Mapping[str, object]] = {
 #: The solver of :data:`SOLVERS` whose solution is the reference for the others.
 REFERENCE = "mumps"
 
-#: Packages that PETSc may be built without, by the names that options have for them. They are
-#: looked for in ``pc_type`` and in ``pc_factor_mat_solver_type``, of inner solvers, too.
+#: Packages that PETSc may be built without, under their names in PETSc's options. A solver needs a
+#: package if its ``pc_type`` or a ``pc_factor_mat_solver_type``, also of an inner solver, names it.
 PACKAGES = ("mumps", "cholmod", "superlu_dist", "hypre", "ml")
 
-#: Most iterations of a Krylov method: a choice, some twenty times what FETI needs.
+#: Largest number of Krylov iterations: a choice, some twenty times what FETI needs.
 MAX_IT = 2000
 
-#: In BDDC, the nodes of a part of the interface with at most this number of nodes are primal
-#: vertices. With PETSc's default of one dof the set-up may fail: a subdomain of a ragged partition
-#: has too few constraints.
+#: Largest number of nodes in a part of the interface for which BDDC makes each node of the part a
+#: primal vertex. With PETSc's default of a single dof, a subdomain of a ragged partition may have
+#: too few constraints, and the set-up fails.
 VERTEX_NODES = 2
 
 
@@ -73,8 +73,8 @@ class SolverKind(enum.Enum):
     TORN = enum.auto()
     #: A KSP with the assembled matrix.
     ASSEMBLED = enum.auto()
-    #: The reference with its default options: factors of the assembled matrix, by LU if those of
-    #: Cholesky leave too large a residual.
+    #: The reference with its default options: a KSP with the assembled matrix, created again with
+    #: LU factors if Cholesky factors leave too large a residual.
     REFERENCE = enum.auto()
 
 
@@ -97,10 +97,11 @@ class Solver:
 
     @property
     def kind(self) -> SolverKind:
-        """How it is created; a ``pc_type`` in PETSc's database counts.
+        """How it is created.
 
-        Options that all begin with ``feti_`` are those of FETI, in place of the problem's. BDDC is
-        the preconditioner that needs the torn matrix.
+        A solver is FETI by its name, or if all of its options begin with ``feti_``. Otherwise its
+        ``pc_type`` decides whether it needs the torn matrix, as BDDC does. A ``pc_type`` in PETSc's
+        database takes precedence over that of ``options``.
         """
         has_options_of_feti = all(key.startswith("feti_") for key in self.options)
         if self.name == "feti" or (self.options and has_options_of_feti):
@@ -114,7 +115,7 @@ class Solver:
         return SolverKind.ASSEMBLED
 
     def missing_package(self) -> str:
-        """Return a package that the solver needs and PETSc lacks; an empty string if none."""
+        """Return a package that the solver needs and PETSc lacks; empty if there is none."""
         used = {
             value
             for key, value in self.options.items()
@@ -193,7 +194,7 @@ def create_solver(
 
     Args:
         A: Assembled matrix; for BDDC the torn one, which is copied.
-        solver: Its name, which also gives the prefix of its options.
+        solver: Name of the solver, which is also the prefix of its options in PETSc's database.
         options: Options of PETSc, without prefix; those of :data:`SOLVERS` if not given.
         rtol: Relative tolerance of a Krylov method, on the true residual.
         symmetric: Whether the matrix is symmetric; if not given, whether A is marked so.
@@ -237,7 +238,9 @@ def create_solver(
 def _adapted(
     options: Mapping[str, object], A: PETSc.Mat, *, is_symmetric: bool
 ) -> dict[str, object]:
-    """Return the options of a direct solver that fit the matrix; those of others as they are.
+    """Adapt the options of a direct solver to the matrix; all others remain as they are.
+
+    Without symmetry LU replaces Cholesky. With a null space, MUMPS has to handle zero pivots.
 
     Args:
         options: PETSc's options without prefix.

@@ -15,8 +15,8 @@ from dolfinx_feti.feti.report import Report
 
 __all__ = ["Advice", "advise"]
 
-#: Iterations above which fewer, larger subdomains save more time in iterations than their factors
-#: cost.
+#: Iterations above which fewer, larger subdomains pay off: the iterations that they save take
+#: longer than their larger factors.
 MANY_ITERATIONS = 100
 
 #: Mean dofs of a subdomain below which the coarse problem costs too much (docs/results/speed.md).
@@ -25,27 +25,30 @@ FEW_DOFS = 500
 #: Mean dofs of a subdomain above which the factors cost too much (docs/results/speed.md).
 MANY_DOFS = 5000
 
-#: Jump of the stiffness between subdomains up to which equal weights are good enough. It is up to
-#: 550 in a body of one material (the vessel), as the numbers of cells at a dof differ.
+#: Jump of the stiffness between subdomains above which equal weights are too inaccurate. A body of
+#: one material, the vessel, has jumps up to 550: the copies of a dof have different numbers of
+#: cells.
 STIFFNESS_JUMP = 3000.0
 
-#: Condition number above which a coarse space without soft modes is too small, and the dual system
-#: worse than the primal one, whose adaptive columns bound it. The dual one has 5 to 30 for easy
-#: bodies, 1e3 and more for thin plates and stiff inclusions, where the primal one has 3 to 15.
+#: Condition number above which a coarse space without soft modes is too small. The dual system has
+#: 5 to 30 for compact bodies of one material, and 1e3 or more for thin plates and stiff inclusions.
+#: The primal system has 3 to 15 there, as its adaptive columns bound the condition number.
 CONDITION = 100.0
 
-#: Dofs of the largest subdomain over the mean above which, with one subdomain on each process, the
-#: others wait for half the time.
+#: Dofs of the largest subdomain over the mean above which a cut is uneven. With one subdomain on
+#: each process, an average process then idles for half the time.
 UNEVEN = 2.0
 
-#: Pressures per dof above which a nearly incompressible body locks: constraints outnumber unknowns.
+#: Pressures per dof above which a nearly incompressible body locks: there are more constraints than
+#: unknowns.
 PRESSURES_PER_DOF = 1.0
 
-#: Factor by which the condensed pressure stiffens the diagonal of a nearly incompressible body;
-#: κ = 50 μ is ν = 0.49.
+#: Factor by which the condensed pressure stiffens the diagonal above which a body is nearly
+#: incompressible: κ = 50 μ corresponds to ν = 0.49.
 STIFFENING = 50.0
 
-#: Relative residual or error due to rounding above which fewer than six digits are left: a choice.
+#: Relative residual or error, due to rounding, above which the solution has fewer than six digits:
+#: a choice.
 ROUNDING = 1e-6
 
 
@@ -56,8 +59,8 @@ class Advice:
     Attributes:
         text: What to do, in one sentence.
         quantity: What was measured.
-        value: Its value.
-        threshold: The value that it exceeds, or falls below.
+        value: Value of the quantity.
+        threshold: Threshold that the value exceeds, or falls below.
     """
 
     text: str
@@ -99,7 +102,7 @@ def _advise_on_subdomains(figures: Figures, iterations: int) -> list[Advice]:
     elif has_several and mean < MANY_DOFS and has_many_iterations:
         text = "Take fewer subdomains."
         advice.append(Advice(text, "iterations", iterations, MANY_ITERATIONS))
-    # many iterations call for fewer subdomains, not for more
+    # more subdomains would increase the number of iterations further
     if mean > MANY_DOFS and not has_many_iterations:
         advice.append(Advice("Take more subdomains.", size, mean, MANY_DOFS))
     if unevenness > UNEVEN:
@@ -122,7 +125,8 @@ def _advise_on_method(
         text = f"Weigh the copies by stiffness, -{prefix}feti_scaling stiffness."
         quantity = "jump of the stiffness between subdomains"
         advice.append(Advice(text, quantity, jump, STIFFNESS_JUMP))
-    if is_dual and report.inertia.local == 0:  # else the primal formulation cannot be used
+    # a subdomain with negative eigenvalues of K_ρ, or unknown ones, needs the dual formulation
+    if is_dual and report.inertia.local == 0:
         text = f"Take the primal formulation, {_primal(report, prefix)}."
         if condition > CONDITION:
             quantity = "condition number of the dual system"

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Check of det F between quadrature points in accepted states, with warnings."""
+"""Check of det F between the quadrature points of accepted states, with warnings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__: list[str] = []  # users call NonlinearProblem.diagnose
 
 
 class Warned(enum.IntEnum):
-    """The worst state of the cells of which the user has been warned."""
+    """The most severe warning about the cells that the user has had."""
 
     NOTHING = 0
     DISTORTED = 1
@@ -43,15 +43,15 @@ class CellCheck:
         *,
         quadrature_degree: int,
     ) -> None:
-        """Create the check; its expressions are compiled at its first use.
+        """Create the check; its expressions are compiled when it is first used.
 
         Args:
-            ratio: The volume ratio, det F or an expression of the user.
+            ratio: The volume ratio, det F or an expression given by the user.
             u: The displacement.
             fields: Condensed fields.
             compiler: Compiler of the expressions.
-            quadrature_degree: Degree of the quadrature at whose points Newton's method keeps the
-                ratio positive.
+            quadrature_degree: Degree of the quadrature. Newton's method keeps the ratio positive at
+                its points.
         """
         self._ratio = ratio
         self._u = u
@@ -112,12 +112,13 @@ class CellCheck:
 
     @cached_property
     def _samples(self) -> CellSamples | None:
-        """The ratio at further points, compiled at the first use; collective.
+        """The ratio at the sample points, compiled when it is first used; collective.
 
         None if the ratio has values at quadrature points only.
         """
         V = self._u.function_space
-        # that of the energy may be det F_e, with data at quadrature points; else that of the body
+        # det F_e, the ratio in the energy, comes first; if it contains data that exist at
+        # quadrature points only, det F of the body takes its place
         for expression in (self._ratio.of_energy, self._ratio.of_body):
             try:
                 return CellSamples(
@@ -127,7 +128,7 @@ class CellCheck:
                     degree=V.ufl_element().embedded_superdegree,
                     quadrature_degree=self._quadrature_degree,
                 )
-            except ValueError:  # it contains data at quadrature points; on all processes
+            except ValueError:  # data at quadrature points; raised on all processes
                 continue
         return None
 

@@ -1,14 +1,14 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Cells that are inside out, or change their volume unevenly, between the points of a quadrature.
+"""Inverted and distorted cells: detection between the quadrature points, and advice.
 
-Newton's method keeps det F positive at the points of the quadrature only. An accurate displacement
-may preserve the mean volume of every cell and still fold over itself inside a cell. Stresses there
-have no meaning.
+Newton's method keeps det F positive at the quadrature points only. Between them an accurate
+displacement may turn part of a cell inside out, even if it preserves the mean volume of every cell.
+Stresses there have no meaning.
 
-The remedies were measured (docs/results/distorted_cells.md): elements of second order, except at
-the rim of a clamp, where F is singular for any element and mesh.
+Elements of second order help (docs/results/distorted_cells.md), except at the rim of a clamp, where
+F is singular for any element and mesh.
 """
 
 from __future__ import annotations
@@ -32,32 +32,32 @@ from dolfinx_feti.runtime.collective import bounding_box, total_of
 __all__ = ["CellVolumes"]
 
 #: Smallest det F over its mean in the cell, below which the cell is distorted. Away from clamps,
-#: cells of Q2–P1disc stay above 0.9, those of P2–P0 above 0.6 (docs/results/distorted_cells.md): a
-#: bound above 0.6 would warn of these. A bound of 0.25 would warn only of cells that are about to
-#: turn inside out.
+#: cells of Q2–P1disc stay above 0.9, and those of P2–P0 above 0.6
+#: (docs/results/distorted_cells.md): a bound above 0.6 would warn of sound P2–P0 cells. A bound of
+#: 0.25 would warn only of cells that are about to turn inside out.
 LEAST_RATIO = 0.5
 
-#: Largest det F over its mean in the cell, above which the cell is distorted; the same cells stay
-#: below 1.2 and 1.5.
+#: Largest det F over its mean in the cell, above which the cell is distorted. Away from clamps,
+#: cells of Q2–P1disc stay below 1.2, and those of P2–P0 below 1.5.
 GREATEST_RATIO = 2.0
 
-#: Share of the cells that may be distorted without a warning: a few cells at a corner of a load or
-#: a support are distorted on any mesh. A rim that bends has one in fifty.
+#: Share of the cells that may be distorted without a warning. A few cells at a corner of a load or
+#: a support are distorted on any mesh. In an inflated tube with clamped ends 2 % of the cells are.
 MAX_SHARE_DISTORTED = 1e-3
 
-#: Advice on bad cells with a node whose whole displacement is prescribed.
+#: Advice on bad cells with a node at which all components of the displacement are prescribed.
 CLAMPED = (
     "At a clamp det F degenerates with any element and on any mesh: hold the body by soft springs, "
     "let it slide, or evaluate no stress in the cells beside the clamp."
 )
 
-#: Advice on other bad cells of elements whose pressure is constant in each cell.
+#: Advice on bad cells away from clamps, if the pressure is constant in each cell.
 SECOND_ORDER = (
     "Take elements of second order, which keep the volume inside of the cells: Q2 with DPC 1, or "
     "P2 with bubbles and a linear pressure on a mesh as fine (docs: Which elements?)."
 )
 
-#: Advice on other bad cells of all other elements.
+#: Advice on bad cells away from clamps, for all other elements.
 REFINE = (
     "Refine the mesh there, and spread loads that end or change abruptly; a higher quadrature "
     "degree does not help."
@@ -83,8 +83,8 @@ class CellVolumes:
         inverted: Number of inverted cells.
         distorted: Number of distorted cells. If the ``volume_ratio`` is not a determinant, only its
             sign has a meaning, and this is the number of inverted cells.
-        clamped: Number of bad cells with a node whose whole displacement is prescribed. Bad cells
-            are the inverted ones, or the distorted ones if none is inverted.
+        clamped: Number of bad cells with a node at which all components of the displacement are
+            prescribed. Bad cells are the inverted ones, or the distorted ones if none is inverted.
         worst: Midpoint of the cell with the smallest value, in the mesh's unit of length.
         low: Lower corner of the box around the midpoints of the bad cells; empty without any.
         high: Upper corner of that box.
@@ -113,7 +113,7 @@ class CellVolumes:
 
     @property
     def bad(self) -> int:
-        """Number of inverted cells, or of distorted ones where none is inverted."""
+        """Number of inverted cells, or of distorted ones if none is inverted."""
         return self.inverted or self.distorted
 
     def __str__(self) -> str:
@@ -145,17 +145,17 @@ def summarise_volumes(
     """Summarise the volume ratios of all cells of a mesh. Collective.
 
     Args:
-        values: Those of the owned cells.
+        values: Volume ratios in the owned cells.
         mesh: The mesh.
         name: The quantity, ``det F`` or ``volume_ratio``.
         is_determinant: Whether the values are changes of volume. If not, only their sign has a
             meaning, and only inverted cells count as distorted.
-        has_clamped_node: Mask of the owned cells with a node whose whole displacement is
-            prescribed, (n_cells,).
+        has_clamped_node: Mask of the owned cells with a node at which all components of the
+            displacement are prescribed, (n_cells,).
     """
     comm = mesh.comm
     with np.errstate(invalid="ignore"):
-        is_inverted = ~(values.minimum > 0.0)  # NaN, too
+        is_inverted = ~(values.minimum > 0.0)  # also if it is NaN
         is_distorted = is_inverted.copy()
         if is_determinant:
             is_distorted |= ~(values.minimum >= LEAST_RATIO * values.mean)
@@ -201,8 +201,8 @@ def advise_on_volumes(volumes: CellVolumes, *, has_constant_pressure: bool) -> l
 
     Args:
         volumes: The volumes of the cells.
-        has_constant_pressure: Whether a condensed field that is constant in each cell ties the
-            volume of the cells, as in P2–P0.
+        has_constant_pressure: Whether a condensed field is constant in each cell, as in P2–P0. It
+            constrains only the mean volume of a cell.
     """
     if volumes.is_sound:
         return []

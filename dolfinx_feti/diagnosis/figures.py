@@ -1,12 +1,12 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Figures of a torn problem, its measured numbers: sizes, copies, stiffness, pressures.
+r"""Figures, numbers that describe a torn problem: sizes, copies, stiffness, pressures.
 
-The jump of the stiffness is the greatest :math:`k_i / \min_j k_j` over the copies i, j of a dof,
-with the stiffness k of a subdomain at the dof. The condensed pressure raises the diagonal of K by
-the ratio of κ to the shear modulus. The mean of this ratio over the dofs, and the number of
-pressures per dof, indicate whether the volume constraint locks the elements.
+The jump of the stiffness is the largest :math:`k_i / \min_j k_j` over all dofs, where i and j are
+copies of the dof, and k their stiffnesses. The condensed pressure multiplies the diagonal of K by
+about the ratio of κ to the shear modulus. This factor, and the number of pressures per dof,
+indicate whether the volume constraint locks the elements.
 """
 
 from __future__ import annotations
@@ -44,17 +44,18 @@ class Figures:
 
     Attributes:
         dofs_per_subdomain: Dofs of a subdomain.
-        interface_share: Share of the dofs of a subdomain that have copies in others.
+        interface_share: Share of the dofs of a subdomain that have copies in other subdomains.
         subdomains_per_process: Subdomains of a process.
         dofs_per_process: Torn dofs of a process.
         mib_per_process: Memory of the solver on a process [MiB].
         dofs_by_copies: Number of dofs with one, two, … copies.
-        stiffness_jump: Greatest ratio of the stiffnesses of the copies of a dof.
+        stiffness_jump: Largest ratio of the stiffnesses of two copies of a dof.
         near_kernel: The near kernel in words: translations and rotations, or constants.
-        null_vectors: Null vectors of all subdomains that are not rigid modes.
-        pressures_per_dof: Condensed pressures over free dofs; None without such pressures.
-        pressure_stiffening: Mean stiffness of a dof with the pressures over that without them; None
-            without such pressures.
+        null_vectors: Number of null vectors of all subdomains that are not rigid modes.
+        pressures_per_dof: Number of condensed pressures over that of free dofs; None without
+            condensed pressures.
+        pressure_stiffening: Mean diagonal entry of K after the condensation of the pressures over
+            that before it; None without condensed pressures.
     """
 
     dofs_per_subdomain: Spread
@@ -130,8 +131,8 @@ def _spread(values: Sequence[float], comm: MPI.Comm) -> Spread:
 
 
 def _stiffness_jump(torn: Torn) -> float:
-    """Return the greatest ratio of the stiffnesses of the copies of a dof. Collective."""
-    k = torn.gather(torn.stiffness())
+    """Return the largest ratio of the stiffnesses of two copies of a dof. Collective."""
+    k = torn.gather(torn.stiffness())  # all copies of the first owned dof, of the second one, …
     multiplicity = torn.multiplicity()
     first_copy = (np.cumsum(multiplicity) - multiplicity)[multiplicity > 0]
     least = np.minimum.reduceat(k, first_copy)
@@ -141,9 +142,9 @@ def _stiffness_jump(torn: Torn) -> float:
 
 
 def _pressure_figures(torn: Torn) -> tuple[float | None, float | None]:
-    """Return condensed pressures per free dof, and how they stiffen the diagonal. Collective.
+    """Return the condensed pressures per free dof, and the factor by which they stiffen a dof.
 
-    Both are None without condensed pressures.
+    Both are None without condensed pressures. Collective.
     """
     without_pressure = torn.A.query("stiffness")  # the diagonal of K before the condensation
     if torn.n_condensed_pressures is None or without_pressure is None:

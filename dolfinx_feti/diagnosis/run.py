@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The diagnosis of a problem: one linear solve with a new solver, its figures, and advice."""
+"""The diagnosis of a problem: one linear solve with a new solver, measurements, and advice."""
 
 from __future__ import annotations
 
@@ -47,12 +47,13 @@ class Diagnosis:
         message: Why the solve failed, or an empty string.
         seconds: Time of each phase on the slowest process [s]: ``assembly``; ``set-up``, with
             ``gluing``, ``factors`` and the ``coarse problem``; ``solve``.
-        peak_mib: Peak memory in addition to mesh and matrix, summed over all processes [MiB].
-        residuals: Share of each subdomain in the residual of the current state, (subdomains,), in
-            the order of their numbers, ``decomposition.first + decomposition.subdomain``.
+        peak_mib: Peak memory above that before the solver was created, summed over all processes
+            [MiB].
+        residuals: Share of each subdomain in the residual of the current state, (subdomains,).
+            ``decomposition.first + decomposition.subdomain`` is the entry of each owned cell.
         volumes: Volume changes of the cells in the current state; None for a problem without a
             deformation gradient.
-        advice: Remedies for what was measured.
+        advice: Remedies, each with the quantity that suggests it.
     """
 
     report: Report | None
@@ -100,8 +101,8 @@ def diagnose(
 ) -> Diagnosis:
     """Assemble a system, solve it with a new solver, and measure both. Collective.
 
-    If the right-hand side is zero, a random one takes its place. PETSc's logging is started if it
-    is off.
+    If the right-hand side is zero, a random one takes its place. PETSc's logging is started, if it
+    is off, and stays on.
 
     Args:
         linear_system: Assembles the torn matrix A and the right-hand side b.
