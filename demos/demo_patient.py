@@ -31,7 +31,7 @@ from dolfinx_feti.meshes.walls import open_wall
 from dolfinx_feti.output import pictures
 from dolfinx_feti.wall import (
     Clamp,
-    Opening,
+    OpeningAngles,
     Pressure,
     Spring,
     apply_conditions,
@@ -48,12 +48,13 @@ wall, _ = open_wall("vessel", comm, size=size, folder=Path("output/patient"))
 
 # ## Residual stress
 #
-# A ring of each layer opens by an angle when it is cut, and is then free of stress. `Opening`
-# computes the deformation G from the wall to these pieces. The energy depends on $F_e = F G^{-1}$;
-# a fibre with the direction $a$ in the wall has the direction $G a/|G a|$ in the pieces.
+# A ring of each layer opens by an angle when it is cut, and is then free of stress.
+# `OpeningAngles` computes the deformation G from the wall to these pieces. The energy depends on
+# $F_e = F G^{-1}$; a fibre with the direction $a$ in the wall has the direction $G a/|G a|$ in the
+# pieces.
 
 # +
-opening = Opening(wall, {"media": 120.0, "adventitia": 60.0})  # degrees
+opening = OpeningAngles(wall, {"media": 120.0, "adventitia": 60.0})  # degrees
 a1, a2 = fibre_families(wall, fibre_frame(wall), {"media": 29.0, "adventitia": 62.0})
 
 V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 2, (3,)))

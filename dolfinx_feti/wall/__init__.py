@@ -7,10 +7,10 @@
 reads one from a file: ``xdmf`` on all processes, ``gmshfile`` and ``meshiofile`` on one, which
 share ``reading``. ``checks`` refuses broken meshes. A ``case`` is a wall with materials and
 ``conditions``; ``casefile`` reads it from one TOML file with the keys of ``casekeys``. ``laplace``
-and ``fibres`` compute directions of fibres, and ``opening`` residual stress.
+and ``fibres`` compute directions of fibres, and ``opening_angles`` residual stress.
 
 In the order of the data: names, wall, checks, xdmf, wall_arrays, reading, gmshfile, meshiofile,
-wallfile, casekeys, conditions, case, casefile, laplace, fibres, opening.
+wallfile, casekeys, conditions, case, casefile, laplace, fibres, opening_angles.
 """
 
 from dolfinx_feti.wall.case import Case, Filling, LayerMaterial
@@ -21,7 +21,7 @@ from dolfinx_feti.wall.conditions.prescribed import Clamp, Slide
 from dolfinx_feti.wall.conditions.pressure import Pressure
 from dolfinx_feti.wall.conditions.supports import Dashpot, Spring
 from dolfinx_feti.wall.fibres import Frame, fibre_families, fibre_frame
-from dolfinx_feti.wall.opening import Opening
+from dolfinx_feti.wall.opening_angles import OpeningAngles
 from dolfinx_feti.wall.wall import (
     Wall,
     area,
@@ -44,7 +44,7 @@ __all__ = [
     "Filling",
     "Frame",
     "LayerMaterial",
-    "Opening",
+    "OpeningAngles",
     "Pressure",
     "Slide",
     "Spring",

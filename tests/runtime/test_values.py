@@ -26,7 +26,7 @@ from dolfinx_feti.mechanics.residual_stress import opening_deformation, residual
 from dolfinx_feti.output import FieldWriter
 from dolfinx_feti.runtime.values import require_number, require_sequence, require_type
 from dolfinx_feti.wall import Case, Clamp, Dashpot, Filling, LayerMaterial, Pressure, Spring
-from dolfinx_feti.wall.opening import Opening
+from dolfinx_feti.wall.opening_angles import OpeningAngles
 
 pytestmark = pytest.mark.serial
 
@@ -309,7 +309,7 @@ def test_wrong_types_are_refused_with_the_right_one(check, value, message):
         ("functions", lambda: FieldWriter("wall", None)),
         ("axis", lambda: loads.enclosed_volume(ufl.Identity(3)[0, :], ufl.ds, "z")),
         ("problem", lambda: follow_load(None, abs, [1.0], Steps(1.0, 1.0))),
-        ("wall", lambda: Opening(None, {})),
+        ("wall", lambda: OpeningAngles(None, {})),
         ("material", lambda: workshop.respond(abs, workshop.uniaxial([1.0]))),
     ],
 )

@@ -38,7 +38,7 @@ from dolfinx_feti.loading import Steps
 from dolfinx_feti.meshes.ellipsoid import LONG, THICKNESS, create_ellipsoid, ellipsoid_fibre
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.wall import facets
-from dolfinx_feti.wall.opening import Opening
+from dolfinx_feti.wall.opening_angles import OpeningAngles
 
 #: Ψ(C, J, share of the load, f) with fibres f.
 Energy = Callable[[Expr, Expr, Expr, Expr], Expr]
@@ -237,7 +237,7 @@ def create_stressed_tube(
     wall = create_slice(comm, size=size, element=element)
     if by_shape:
         angles = {name: layer.opening for name, layer in OPENED.items()}
-        G = Opening(wall, angles, {name: layer.stretch for name, layer in OPENED.items()}).G
+        G = OpeningAngles(wall, angles, {name: layer.stretch for name, layer in OPENED.items()}).G
     else:
         G = residual_part(wall, list(OPENED.values()))
     tube = create_inflated_tube(

@@ -3,8 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Residual stress of a wall whose layers would open by known angles if they were cut.
 
-(``Opening`` is about opening angles. The openings of a wall are the faces where the vessel was
-cut.)
+The openings of a wall, the faces where the vessel was cut, have nothing to do with these angles.
 
 :mod:`~dolfinx_feti.mechanics.residual_stress` has the equations. Their data on a wall of any shape
 follow from the two potentials of its frame, t through the wall and l along it:
@@ -39,7 +38,7 @@ from dolfinx_feti.wall.fibres import cell_mean, frame_of, solve_potentials
 from dolfinx_feti.wall.laplace import gradient
 from dolfinx_feti.wall.wall import Wall, by_layer
 
-__all__ = ["Opening"]
+__all__ = ["OpeningAngles"]
 
 #: Upper bound of c h, curvature times thickness. A sharper bend counts as a tube whose middle
 #: radius is the thickness; the inner radius of such a tube is h/2.
@@ -50,7 +49,7 @@ MAX_CURVATURE_TIMES_THICKNESS = 1.0
 MIN_GRADIENT_FOR_THICKNESS = 0.25
 
 
-class Opening:
+class OpeningAngles:
     """The part G of the deformation due to opening angles, on a wall of any shape.
 
     Attributes:

@@ -15,7 +15,7 @@ import ufl
 from dolfinx_feti.meshes.bricks import create_brick_tube
 from dolfinx_feti.output import cell_values
 from dolfinx_feti.wall import Wall, read_wall
-from dolfinx_feti.wall.opening import Opening
+from dolfinx_feti.wall.opening_angles import OpeningAngles
 
 ANGLES = {"media": 120.0, "adventitia": 60.0}
 
@@ -29,7 +29,7 @@ def test_stretch_around_is_that_of_a_tube():
     """It grows through each layer. Of a quarter, in cells at the planes of symmetry, too."""
     shape = {"length": 0.18, "size": 0.18, "around": 4, "along": 1, "through": (3, 1)}
     wall = create_brick_tube(COMM, quarter=True, **shape)
-    opening = Opening(wall, ANGLES, {"media": 1.1, "adventitia": 1.0})
+    opening = OpeningAngles(wall, ANGLES, {"media": 1.1, "adventitia": 1.0})
     e0 = opening.directions[0]
     x = ufl.SpatialCoordinate(wall.mesh)
     r, λ = (
@@ -45,7 +45,7 @@ def test_stretch_around_is_that_of_a_tube():
 
 def test_moved_and_closed(wall):
     """Curvatures go with the size of the wall; G keeps volumes, and is I without an angle."""
-    opening = Opening(wall, ANGLES)
+    opening = OpeningAngles(wall, ANGLES)
     x = wall.mesh.geometry.x
     n = wall.mesh.topology.index_map(3).size_local
     before = opening.curvature.x.array[:n].copy()
@@ -62,8 +62,8 @@ def test_moved_and_closed(wall):
 
 def test_bad_input(wall):
     with raises(ValueError, "angle = 360"):
-        Opening(wall, {"media": 360.0, "adventitia": 0.0})
+        OpeningAngles(wall, {"media": 360.0, "adventitia": 0.0})
     with raises(ValueError, "values are given for media"):
-        Opening(wall, {"media": 10.0})
+        OpeningAngles(wall, {"media": 10.0})
     with raises(ValueError, "stretch = 0"):
-        Opening(wall, ANGLES, {"media": 0.0, "adventitia": 1.0})
+        OpeningAngles(wall, ANGLES, {"media": 0.0, "adventitia": 1.0})
