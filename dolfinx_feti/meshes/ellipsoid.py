@@ -77,12 +77,12 @@ def ellipsoid_fibre(mesh: dolfinx.mesh.Mesh) -> Expr:
     x = ufl.SpatialCoordinate(mesh)
     r = ufl.sqrt(x[0] ** 2 + x[1] ** 2)
     e_r = ufl.as_vector([x[0], x[1], 0]) / r
-    e_t = ufl.as_vector([-x[1], x[0], 0]) / r
+    e_θ = ufl.as_vector([-x[1], x[0], 0]) / r
     short = SHORT + THICKNESS * t
     long = LONG + THICKNESS * t
     up = -short * x[2] / long * e_r + long * r / short * ufl.as_vector([0, 0, 1])  # ∂x/∂μ
     α = np.pi / 2 - np.pi * t
-    return ufl.sin(α) * up / ufl.sqrt(ufl.dot(up, up)) + ufl.cos(α) * e_t
+    return ufl.sin(α) * up / ufl.sqrt(ufl.dot(up, up)) + ufl.cos(α) * e_θ
 
 
 def _fraction(r: Array, z: Array) -> Array:

@@ -13,7 +13,7 @@ from mpi4py import MPI
 import numpy as np
 
 from dolfinx_feti.runtime.arrays import Numbers
-from dolfinx_feti.wall.names import names_of
+from dolfinx_feti.wall.names import names_in_use
 from dolfinx_feti.wall.wall_arrays import WallArrays, distribute
 from dolfinx_feti.wall.xdmf import write_wall
 
@@ -30,13 +30,18 @@ def write_wall_arrays(path: Path, arrays: WallArrays) -> None:
     """Write an XDMF file, which all processes can read, or a Gmsh file. Serial.
 
     Args:
-        path: The file, `*.xdmf`, or any other name for Gmsh's format; its folder is created.
+        path: The file, `*.xdmf`, or `*.msh` for Gmsh's format; its folder is created.
         arrays: The wall.
+
+    Raises:
+        ValueError: The path has another ending.
     """
     if path.suffix == ".xdmf":
         write_wall(path, distribute(arrays, MPI.COMM_SELF))
-    else:
+    elif path.suffix == ".msh":
         write_msh(path, arrays)
+    else:
+        raise ValueError(f"path={str(path)!r}: give a name that ends in .xdmf or .msh")
 
 
 def write_msh(path: Path, arrays: WallArrays) -> None:
@@ -50,8 +55,8 @@ def write_msh(path: Path, arrays: WallArrays) -> None:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
-    surface_names = names_of(arrays.facet_tags, arrays.surface_names)
-    layer_names = names_of(arrays.cell_tags, arrays.layer_names)
+    surface_names = names_in_use(arrays.surface_names, arrays.facet_tags)
+    layer_names = names_in_use(arrays.layer_names, arrays.cell_tags)
     groups = [f'2 {tag} "{name}"' for name, tag in surface_names.items()]
     groups += [f'3 {tag} "{name}"' for name, tag in layer_names.items()]
     node_numbers = np.arange(1, len(arrays.points) + 1)

@@ -19,7 +19,7 @@ import numpy as np
 
 from dolfinx_feti.meshes.tags import SURFACE_TAGS, layer_tags
 from dolfinx_feti.runtime.arrays import Array, Numbers
-from dolfinx_feti.wall.names import names_of
+from dolfinx_feti.wall.names import names_in_use
 from dolfinx_feti.wall.wall_arrays import WallArrays
 
 __all__ = ["Rim", "Sheets", "create_sheets", "grow_wall", "sort_corners"]
@@ -118,7 +118,7 @@ def grow_wall(x: Array, y: Array, t: Numbers, *, sheets: Sheets, rim: Rim) -> Wa
         facets=facets,
         facet_tags=facet_tags,
         layer_names=sheets.layer_names,
-        surface_names=names_of(facet_tags, SURFACE_TAGS),
+        surface_names=names_in_use(SURFACE_TAGS, facet_tags),
     )
 
 

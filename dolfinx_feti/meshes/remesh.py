@@ -327,7 +327,7 @@ def _flip(x: Array, t: Numbers, gain_of: Gain) -> Numbers:
     """
     for _ in range(MAX_FLIP_ROUNDS):
         flips = Flips.of_surface(t)
-        is_chosen = _is_chosen(x, flips, gain_of(x, flips))
+        is_chosen = _has_largest_gain(x, flips, gain_of(x, flips))
         if not is_chosen.any():
             break
         t = t.copy()
@@ -335,7 +335,7 @@ def _flip(x: Array, t: Numbers, gain_of: Gain) -> Numbers:
     return t
 
 
-def _is_chosen(x: Array, flips: Flips, gain: Array) -> Mask:
+def _has_largest_gain(x: Array, flips: Flips, gain: Array) -> Mask:
     """Return a mask of the possible flips with the largest gain in their neighbourhood, (k,).
 
     Args:

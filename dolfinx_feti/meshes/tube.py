@@ -29,7 +29,7 @@ from dolfinx_feti.meshes.quality import MeshQuality, measure_quality
 from dolfinx_feti.meshes.tags import SURFACE_TAGS, tags_of
 from dolfinx_feti.runtime.arrays import Array, Numbers
 
-__all__ = ["Counts", "count_around", "create_tube", "element_counts", "unit_tube", "write_tube"]
+__all__ = ["Counts", "count_around", "element_counts", "unit_tube", "write_tube"]
 
 #: Radius of the lumen [mm]: a rabbit's carotid artery (Holzapfel, Gasser, Ogden 2000).
 INNER_RADIUS = 0.71
@@ -92,7 +92,7 @@ def write_tube(
         Size and quality of the mesh.
 
     Raises:
-        ValueError: An argument is out of its range.
+        ValueError: An argument is out of its range, or the path has another ending.
     """
     counts = element_counts(
         length, size, quarter=quarter, through=through, around=around, along=along
@@ -108,10 +108,6 @@ def write_tube(
     quality = measure_quality(arrays.points, arrays.cells)
     log.info("%s", quality)
     return quality
-
-
-#: Another name of :func:`write_tube`.
-create_tube = write_tube
 
 
 def element_counts(
@@ -140,11 +136,11 @@ def element_counts(
         if not (np.isfinite(value) and value > 0):
             raise ValueError(f"{name}={value} is not a positive number of millimetres")
     if through is None:
-        through = (_count(MEDIA, size), _count(ADVENTITIA, size))
+        through = (_elements_along(MEDIA, size), _elements_along(ADVENTITIA, size))
     if around is None:
         around = count_around(size, quarter=quarter)
     if along is None:
-        along = _count(length, size)
+        along = _elements_along(length, size)
     fewest_around = 1 if quarter else 3
     if min(*through, along) < 1 or around < fewest_around:
         raise ValueError(
@@ -163,11 +159,11 @@ def count_around(size: float, *, quarter: bool) -> int:
     """
     circumference = 2 * np.pi * (INNER_RADIUS + (MEDIA + ADVENTITIA) / 2)
     if quarter:
-        return _count(circumference / 4, size, MIN_AROUND // 4)
-    return _count(circumference, size, MIN_AROUND)
+        return _elements_along(circumference / 4, size, MIN_AROUND // 4)
+    return _elements_along(circumference, size, MIN_AROUND)
 
 
-def _count(extent: float, size: float, minimum: int = 1) -> int:
+def _elements_along(extent: float, size: float, minimum: int = 1) -> int:
     """Return the number of elements of about one size along an extent."""
     return max(minimum, round(extent / size))
 

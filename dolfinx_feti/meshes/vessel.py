@@ -45,7 +45,7 @@ from dolfinx_feti.meshes.surface import edge_lengths, find_edges, read_stl, unit
 from dolfinx_feti.meshes.tags import SURFACE_TAGS
 from dolfinx_feti.runtime.arrays import Array, Numbers
 
-__all__ = ["create_vessel", "find_surface", "write_vessel"]
+__all__ = ["find_surface", "write_vessel"]
 
 #: File of Gmsh's example.
 EXAMPLE_FILE = "aneurysm_data.stl"
@@ -89,8 +89,8 @@ def write_vessel(
 
     Raises:
         FileNotFoundError: There is no surface.
-        ValueError: The surface is closed or damaged, an argument is out of its range, or the
-            quality of an element is below 0.1.
+        ValueError: The surface is closed or damaged, an argument is out of its range, the quality
+            of an element is below 0.1, or the path has another ending.
     """
     through = [1] * len(layers) if through is None else list(through)
     _check(layers, through, size=size, thickness=thickness, scale=scale)
@@ -114,10 +114,6 @@ def write_vessel(
         )
     write_wall_arrays(Path(path), arrays)
     return quality
-
-
-#: Another name of :func:`write_vessel`.
-create_vessel = write_vessel
 
 
 def find_surface(folders: Sequence[Path] | None = None) -> Path:

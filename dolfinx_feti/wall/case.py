@@ -137,7 +137,10 @@ class Case:
     @property
     def has_residual_stress(self) -> bool:
         """Whether a layer opens, or becomes shorter, when it is cut out."""
-        return any(t.opening_angle or t.axial_stretch != 1.0 for t in self.layers.values())
+        return any(
+            layer.opening_angle != 0.0 or layer.axial_stretch != 1.0
+            for layer in self.layers.values()
+        )
 
     def check(self, wall: Wall) -> None:
         """Check the names of layers and surfaces against those of the wall.

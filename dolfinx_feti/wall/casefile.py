@@ -38,7 +38,7 @@ from dolfinx_feti.wall.casekeys import (
     TextKey,
     TextListKey,
 )
-from dolfinx_feti.wall.conditions.registry import by_surface, case_keys, conditions_in_case
+from dolfinx_feti.wall.conditions.registry import case_keys, checked_conditions, conditions_in_case
 from dolfinx_feti.wall.wall import AXES
 
 __all__ = ["read_case"]
@@ -166,11 +166,11 @@ def _create_case(values: dict[str, Any]) -> Case:
     surfaces: dict[str, dict[str, Any]] = values.get("surfaces", {})
     pressures = [surface["pressure"] for surface in surfaces.values() if "pressure" in surface]
     highest_pressure = max(pressures, default=0.0)
-    conditions = {
+    listed = {
         name: conditions_in_case(name, surface, highest_pressure)
         for name, surface in surfaces.items()
     }
-    by_surface(conditions)  # raises an error for other conditions on a clamped surface
+    conditions = checked_conditions(listed)
     cavities = _create_fillings(values.get("cavity", {}))
     if not pressures and not cavities:
         raise ValueError(

@@ -22,7 +22,7 @@ from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Integers, Mask, Numbers
 from dolfinx_feti.wall.wall import Wall
 
-__all__ = ["CELLS", "check_cells", "check_faces", "check_rows", "orientations"]
+__all__ = ["CELLS", "check_connectivity", "check_faces", "check_geometry", "orientations"]
 
 
 class WallCell(NamedTuple):
@@ -59,7 +59,7 @@ ORIENTATION_DEGREE = 4
 CHECKED_CELLS_AT_ONCE = 10_000
 
 
-def check_rows(
+def check_connectivity(
     mesh_name: object, x: Array, cells: Integers, others: Sequence[Integers], comm: MPI.Comm
 ) -> None:
     """Check that nodes exist and are finite, and that each cell occurs once. Collective.
@@ -85,12 +85,12 @@ def check_rows(
         _require_none(has_missing_point, message, comm)
     is_infinite = np.any(~np.isfinite(x), axis=1)
     _require_none(is_infinite, f"points of {mesh_name} have coordinates that are not finite", comm)
-    rows = _gathered(cells, n, comm)
-    rows = rows[np.lexsort(rows.T)]
-    equals_next_row = (rows[1:] == rows[:-1]).all(axis=1)
+    sorted_cells = _rows_by_smallest_node(cells, n, comm)
+    sorted_cells = sorted_cells[np.lexsort(sorted_cells.T)]
+    equals_next_cell = (sorted_cells[1:] == sorted_cells[:-1]).all(axis=1)
     message = f"{cell_name} of {mesh_name} occur twice: put each into one layer"
-    _require_none(equals_next_row, message, comm)
-    has_point_twice = (rows[:, 1:] == rows[:, :-1]).any(axis=1)
+    _require_none(equals_next_cell, message, comm)
+    has_point_twice = (sorted_cells[:, 1:] == sorted_cells[:, :-1]).any(axis=1)
     _require_none(
         has_point_twice, f"{cell_name} of {mesh_name} have no volume: improve the mesh", comm
     )
@@ -101,7 +101,7 @@ def check_faces(mesh_name: object, cells: Integers, facets: Integers, comm: MPI.
 
     Args:
         mesh_name: Name of the mesh for messages, such as its path.
-        cells: Cells of this process, which have passed :func:`check_rows`, (m, nodes).
+        cells: Cells of this process, which have passed :func:`check_connectivity`, (m, nodes).
         facets: Tagged facets of this process, which have also passed it, (k, nodes).
         comm: Communicator.
 
@@ -120,11 +120,13 @@ def check_faces(mesh_name: object, cells: Integers, facets: Integers, comm: MPI.
         basix.topology(getattr(basix.CellType, cell_type.shape))[2]
     )  # (faces, corners)
     n = 1 + comm.allreduce(int(cells.max(initial=0)), op=MPI.MAX)
-    faces_of_cells = _gathered(cells[:, corners].reshape(-1, corners.shape[1]), n, comm)
+    faces_of_cells = _rows_by_smallest_node(
+        cells[:, corners].reshape(-1, corners.shape[1]), n, comm
+    )
     faces, cells_of_face = np.unique(faces_of_cells, axis=0, return_counts=True)
     message = f"{facet_name} of {mesh_name} are faces of more than two {cell_name}: cells overlap"
     _require_none(cells_of_face > 2, message, comm)
-    tagged = _gathered(facets[:, : corners.shape[1]], n, comm)
+    tagged = _rows_by_smallest_node(facets[:, : corners.shape[1]], n, comm)
     tagged_faces, tags_of_face = np.unique(tagged, axis=0, return_counts=True)
     message = f"{facet_name} of {mesh_name} have two tags: give each of them one surface"
     _require_none(tags_of_face > 1, message, comm)
@@ -135,7 +137,7 @@ def check_faces(mesh_name: object, cells: Integers, facets: Integers, comm: MPI.
     _require_zero(n_all - len(faces), message, comm)
 
 
-def check_cells(mesh_name: object, wall: Wall, *, same_orientation: bool) -> None:
+def check_geometry(mesh_name: object, wall: Wall, *, same_orientation: bool) -> None:
     """Check that cells have a volume and are not inverted. Collective.
 
     Args:
@@ -204,7 +206,7 @@ def _plural_names(cells: Integers) -> tuple[str, str]:
 
 
 def _require_none(is_wrong: Mask, message: str, comm: MPI.Comm) -> None:
-    """Raise a ValueError on all processes with the number of wrong rows, if there are any."""
+    """Raise a ValueError with the number of wrong rows, if there are any. Collective."""
     _require_zero(int(np.sum(is_wrong)), message, comm)
 
 
@@ -215,10 +217,18 @@ def _require_zero(wrong: int, message: str, comm: MPI.Comm) -> None:
         raise ValueError(f"{count} {message}")
 
 
-def _gathered(rows: Integers, n: int, comm: MPI.Comm) -> Integers:
-    """Return sorted rows of numbers below n. Collective.
+def _rows_by_smallest_node(rows: Integers, n: int, comm: MPI.Comm) -> Integers:
+    """Sort the nodes in each row, and send rows with the same smallest node to one process.
 
-    Rows with equal smallest numbers are on one process afterwards, so that equal rows are.
+    Equal rows are then on one process. Collective.
+
+    Args:
+        rows: Nodes of the cells or facets of this process, (m, nodes).
+        n: A number above all nodes.
+        comm: Communicator.
+
+    Returns:
+        The rows that this process gets, (k, nodes).
     """
     rows = np.sort(rows, axis=1)
     if comm.size == 1:

@@ -21,7 +21,7 @@ import dolfinx
 
 from dolfinx_feti.runtime.arrays import Numbers
 from dolfinx_feti.wall.checks import CELLS
-from dolfinx_feti.wall.names import names_of, with_default_names
+from dolfinx_feti.wall.names import names_in_use, with_default_names
 from dolfinx_feti.wall.reading import NAMING_HELP, import_reader
 from dolfinx_feti.wall.wall_arrays import WallArrays
 
@@ -67,7 +67,7 @@ def read_gmsh(path: Path) -> WallArrays:
             f"{n_cells - len(cells.nodes)} cells of {path} are in no physical volume; {NAMING_HELP}"
         )
     last = max(int(some.max(initial=0)) for some in (numbers, cells.nodes, facets.nodes))
-    # index of each node by Gmsh's number; −1 for a missing node, which check_rows detects
+    # index of each node by Gmsh's number; −1 for a missing node, which check_connectivity detects
     index = np.full(last + 1, -1)
     index[numbers] = np.arange(len(numbers))
     return WallArrays(
@@ -139,7 +139,7 @@ class _GmshFile:
         all_elements = np.concatenate(elements or [np.zeros((0, dim + 1), dtype=np.int64)])
         all_tags = np.concatenate(tags)
         if names:
-            return TaggedElements(all_elements, all_tags, names_of(all_tags, names))
+            return TaggedElements(all_elements, all_tags, names_in_use(names, all_tags))
         return TaggedElements(all_elements, all_tags, with_default_names({}, all_tags, dim))
 
     def _group_names(self, dim: int) -> dict[str, int]:

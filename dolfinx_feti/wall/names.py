@@ -22,7 +22,7 @@ __all__ = [
     "Groups",
     "checked_groups",
     "merged_names",
-    "names_of",
+    "names_in_use",
     "tags_with_names",
     "with_default_names",
 ]
@@ -84,15 +84,15 @@ def merged_names(
     """
     of_user = {name: tag for name, group_dim, tag in groups if group_dim == dim}
     remaining = {name: tag for name, tag in of_file.items() if tag not in of_user.values()}
-    return names_of(tags, remaining | of_user)
+    return names_in_use(remaining | of_user, tags)
 
 
-def names_of(tags: Numbers, names: Mapping[str, int]) -> dict[str, int]:
+def names_in_use(names: Mapping[str, int], tags: Numbers) -> dict[str, int]:
     """Return the names whose tags occur, with these tags.
 
     Args:
-        tags: Tags of all cells or facets, (n,).
         names: Tags by name.
+        tags: Tags of all cells or facets, (n,).
     """
     return {name: tag for name, tag in names.items() if np.any(tags == tag)}
 

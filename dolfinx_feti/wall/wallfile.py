@@ -25,7 +25,7 @@ from mpi4py import MPI
 from dolfinx_feti.runtime.collective import on_root
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.values import require_positive
-from dolfinx_feti.wall.checks import check_cells, check_faces, check_rows
+from dolfinx_feti.wall.checks import check_connectivity, check_faces, check_geometry
 from dolfinx_feti.wall.gmshfile import read_gmsh
 from dolfinx_feti.wall.meshiofile import read_meshio
 from dolfinx_feti.wall.names import Groups, checked_groups, merged_names, tags_with_names
@@ -64,10 +64,10 @@ def read_wall(
         return read_parallel(path, comm, scale=scale)
     with event("WallRead"):
         arrays = create_on_root(lambda: _read_with_names(path, names or {}), comm)
-        check_rows(path, arrays.points, arrays.cells, [arrays.facets], comm)
+        check_connectivity(path, arrays.points, arrays.cells, [arrays.facets], comm)
         check_faces(path, arrays.cells, arrays.facets, comm)
     wall = distribute(arrays, comm, scale=scale)
-    check_cells(path, wall, same_orientation=True)
+    check_geometry(path, wall, same_orientation=True)
     return wall
 
 

@@ -34,7 +34,7 @@ from dolfinx_feti.runtime.collective import error_message, on_all, on_root
 from dolfinx_feti.runtime.compat import adjacency
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.scotch import repeatable_partitions
-from dolfinx_feti.wall.checks import check_cells, check_rows
+from dolfinx_feti.wall.checks import check_connectivity, check_geometry
 from dolfinx_feti.wall.wall import Wall
 
 __all__ = ["is_written_by_write_wall", "read_parallel", "write_wall"]
@@ -95,7 +95,7 @@ def _read(path: Path, comm: MPI.Comm, scale: float) -> Wall:
         surface_names = _integers(information["surfaces"])
         element = basix.ufl.element("Lagrange", shape.name, degree, shape=(3,), dtype=x.dtype)
         on_all(lambda: _check_shapes((cells, layers, facets), x, element), comm)
-        check_rows("the mesh", x, cells, (layers, facets), comm)
+        check_connectivity("the mesh", x, cells, (layers, facets), comm)
         with event("WallPartition"):
             partitioner = _partitioner_of_file(information["parts"], len(cells), comm)
             domain = ufl.Mesh(element)
@@ -107,7 +107,7 @@ def _read(path: Path, comm: MPI.Comm, scale: float) -> Wall:
             cell_tags = file.read_meshtags(mesh, "layers")
             facet_tags = file.read_meshtags(mesh, "surfaces")
         wall = Wall(mesh, cell_tags, facet_tags, layer_names, surface_names)
-        check_cells("the mesh", wall, same_orientation=False)
+        check_geometry("the mesh", wall, same_orientation=False)
         _check_tags(wall, comm.allreduce(len(facets)))
     return wall
 

@@ -117,6 +117,8 @@ def test_wrong_values(tmp_path, create, options, message):
     agree(path.read_text() == "mine" and [p.name for p in tmp_path.iterdir()] == ["v.msh"])
 
 
-def test_other_names_of_generators():
-    agree(tube.create_tube is tube.write_tube)
-    agree(vessel.create_vessel is vessel.write_vessel)
+def test_other_formats_are_refused(tmp_path):
+    """A file of this name would be read as one of VTK."""
+    with raises(ValueError, r"t\.vtu.*ends in \.xdmf or \.msh"):
+        tube.write_tube(tmp_path / "t.vtu", size=0.4)
+    agree(not list(tmp_path.iterdir()))

@@ -20,7 +20,7 @@ from dolfinx_feti.wall.conditions.boundary import Boundary, apply_conditions
 from dolfinx_feti.wall.conditions.condition import Condition, Contribution, Surface
 from dolfinx_feti.wall.conditions.prescribed import Clamp, Slide
 from dolfinx_feti.wall.conditions.pressure import Pressure
-from dolfinx_feti.wall.conditions.registry import Conditions, by_surface
+from dolfinx_feti.wall.conditions.registry import Conditions, checked_conditions
 from dolfinx_feti.wall.conditions.supports import Dashpot, Spring
 
 __all__ = [
@@ -35,5 +35,5 @@ __all__ = [
     "Spring",
     "Surface",
     "apply_conditions",
-    "by_surface",
+    "checked_conditions",
 ]

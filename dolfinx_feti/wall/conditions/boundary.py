@@ -29,7 +29,7 @@ from dolfinx_feti.wall.conditions.condition import (
     create_constant,
 )
 from dolfinx_feti.wall.conditions.potential import PressureLoad, find_potential
-from dolfinx_feti.wall.conditions.registry import Conditions, by_surface
+from dolfinx_feti.wall.conditions.registry import Conditions, checked_conditions
 from dolfinx_feti.wall.wall import AXES, Wall, extent, facets, require_surface
 
 __all__ = ["Boundary", "Prestretch", "apply_conditions"]
@@ -114,18 +114,6 @@ class Boundary:
         """
         self.last.x.array[:] = u.x.array
 
-    @property
-    def planes(self) -> tuple[tuple[dolfinx.fem.Constant, float], ...]:
-        """Displacement [mm] and coordinate [mm] of each plane that the prestretch moves."""
-        if self.prestretch is None:
-            return ()
-        return tuple((plane.displacement, plane.coordinate) for plane in self.prestretch.planes)
-
-    @property
-    def axis(self) -> int | None:
-        """Number of the axis of the prestretch; None without an axis."""
-        return None if self.prestretch is None else self.prestretch.axis
-
 
 def apply_conditions(
     wall: Wall, u: dolfinx.fem.Function, conditions: Conditions, *, axis: str | None = None
@@ -173,7 +161,7 @@ def apply_conditions(
         pressure=create_constant(wall.mesh, 0.0),
         time_step=create_constant(wall.mesh, np.inf),
     )
-    contributions, loads = _apply(by_surface(conditions), wall, state)
+    contributions, loads = _evaluate_conditions(checked_conditions(conditions), wall, state)
     bcs = [bc for contribution in contributions for bc in contribution.bcs]
     prestretch = None if axis is None else _create_prestretch(axis, contributions, state)
     potential = find_potential(
@@ -184,16 +172,16 @@ def apply_conditions(
         prescribed=_trial_prestretch(V, prestretch),
         plane_axes=[c.plane.axis for c in contributions if c.plane is not None],
     )
-    others = _add(contributions, u)
+    without_pressure = _sum_forms(contributions, u)
     tangent_kind: TangentKind = "auto" if potential is None else "symmetric"
     pressures = _pressure_forms(loads, state, bcs, tangent_kind)
     energy = None
-    if others.energy is not None and potential is not None:
-        energy = others.energy + potential
+    if without_pressure.energy is not None and potential is not None:
+        energy = without_pressure.energy + potential
     return Boundary(
         bcs=bcs,
-        residual=others.residual + pressures.residual,
-        tangent=others.tangent + pressures.tangent,
+        residual=without_pressure.residual + pressures.residual,
+        tangent=without_pressure.tangent + pressures.tangent,
         energy=energy,
         pressure=state.pressure,
         time_step=state.time_step,
@@ -219,7 +207,7 @@ class _Forms:
     energy: ufl.Form | None = None
 
 
-def _apply(
+def _evaluate_conditions(
     conditions: Mapping[str, Sequence[Condition]], wall: Wall, state: WallState
 ) -> tuple[list[Contribution], list[PressureLoad]]:
     """Return the contributions of all conditions, and the pressures among them. Collective.
@@ -237,7 +225,7 @@ def _apply(
     for name, on_surface in conditions.items():
         require_surface(wall, name)
         if any(condition.NEEDS_BOUNDARY for condition in on_surface):
-            _check_outside(wall, name)
+            _check_on_boundary(wall, name)
         surface = Surface(wall, name, state)
         for condition in on_surface:
             contribution = condition.contribution(surface)
@@ -247,7 +235,7 @@ def _apply(
     return contributions, loads
 
 
-def _add(contributions: Sequence[Contribution], u: dolfinx.fem.Function) -> _Forms:
+def _sum_forms(contributions: Sequence[Contribution], u: dolfinx.fem.Function) -> _Forms:
     """Return the sum of the energies and residuals of contributions, and its tangent.
 
     Args:
@@ -355,7 +343,7 @@ def _trial_prestretch(
     return prescribed
 
 
-def _check_outside(wall: Wall, name: str) -> None:
+def _check_on_boundary(wall: Wall, name: str) -> None:
     """Check that the facets of a surface are on the boundary, as ``ds`` contains no others.
 
     Raises:

@@ -16,7 +16,7 @@ from dolfinx_feti.wall.conditions.prescribed import Clamp, Slide
 from dolfinx_feti.wall.conditions.pressure import Pressure
 from dolfinx_feti.wall.conditions.supports import Dashpot, Spring
 
-__all__ = ["KINDS", "Conditions", "by_surface", "case_keys", "conditions_in_case"]
+__all__ = ["KINDS", "Conditions", "case_keys", "checked_conditions", "conditions_in_case"]
 
 #: One or several conditions for each surface by name.
 Conditions: TypeAlias = Mapping[str, Condition | Sequence[Condition]]
@@ -26,8 +26,8 @@ Conditions: TypeAlias = Mapping[str, Condition | Sequence[Condition]]
 KINDS: tuple[type[Condition], ...] = (Pressure, Spring, Dashpot, Slide, Clamp)
 
 
-def by_surface(conditions: Conditions) -> dict[str, tuple[Condition, ...]]:
-    """Return the conditions of each surface as tuples.
+def checked_conditions(conditions: Conditions) -> dict[str, tuple[Condition, ...]]:
+    """Return the conditions of each surface as a tuple, after checks.
 
     Raises:
         ValueError: A surface has an object that is no condition, two conditions of one kind, or
@@ -37,7 +37,7 @@ def by_surface(conditions: Conditions) -> dict[str, tuple[Condition, ...]]:
 
 
 def _checked(name: str, one_or_several: object) -> tuple[Condition, ...]:
-    """Return the conditions of a surface; see :func:`by_surface`."""
+    """Return the conditions of a surface; see :func:`checked_conditions`."""
     listed: tuple[object, ...] = (one_or_several,)
     if isinstance(one_or_several, Sequence) and not isinstance(one_or_several, str):
         listed = tuple(one_or_several)
