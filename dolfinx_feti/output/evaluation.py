@@ -3,10 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Values of fields and UFL expressions, such as a stress, at points and at centroids of cells.
 
-A point X of the reference body lies in one cell, or in several on their common facet, edge or
-vertex. Its value is the mean over these cells, and so independent of the numbering of cells and of
-the processes. In a cell, the expression is evaluated at the reference coordinates ξ with x(ξ) = X,
-without any interpolation.
+A point X of the reference body lies in one cell, or on a facet, edge or vertex that several cells
+share. Its value is the mean over these cells, so it does not depend on the numbering of the cells
+or on the number of processes. In a cell, the expression is evaluated at the reference coordinates ξ
+with x(ξ) = X, without any interpolation.
 """
 
 from __future__ import annotations
@@ -32,17 +32,19 @@ from dolfinx_feti.runtime.collective import on_all, total_of
 
 __all__ = ["CellEvaluator", "cell_values", "evaluate", "mesh_of"]
 
-#: Share of the extent of the mesh by which boxes around cells are enlarged: rounding of the points
-#: is 1e-16 of it. A larger share adds a few candidate cells, and changes no result.
+#: Padding of the boxes around cells, over the extent of the mesh. Rounding errors of points are
+#: 1e-16 of it. More padding adds a few candidate cells and changes no result.
 PADDING = 1e-10
 
-#: Distance in reference coordinates by which a point may be outside of a cell that contains it.
-#: Newton's method for ξ has converged if its last step is not longer. Points that a user computes
-#: have rounding errors of 1e-15; at 1e-7, neighbouring cells contribute to the mean.
+#: Distance in reference coordinates up to which a point outside of a cell counts as inside.
+#: Newton's method for ξ has converged if its last step is not longer than this. Points that a user
+#: computes have rounding errors of 1e-15. At 1e-7, cells next to a point would contribute to its
+#: mean.
 COORDINATE_ATOL = 1e-10
 
-#: Steps of Newton's method for reference coordinates, at most. Affine cells take one, curved ones
-#: and hexahedra four to six. Points that have not converged are outside of a distorted cell.
+#: Largest number of Newton steps for reference coordinates. Affine cells take one, curved cells and
+#: hexahedra four to six. A point for which the steps do not converge is outside of a distorted
+#: cell.
 MAX_STEPS = 25
 
 #: Points in one compiled expression. It is evaluated at all of them in each of their cells, and
@@ -100,7 +102,7 @@ def mesh_of(expression: Expr) -> dolfinx.mesh.Mesh:
     """Return the mesh of an expression.
 
     Raises:
-        ValueError: It has none.
+        ValueError: The expression has no mesh.
     """
     domain = ufl.domain.extract_unique_domain(expression)
     if domain is None:
@@ -111,7 +113,7 @@ def mesh_of(expression: Expr) -> dolfinx.mesh.Mesh:
 
 
 def _checked_points(points: npt.ArrayLike, gdim: int) -> tuple[Array, bool]:
-    """Return points, (n, gdim), and whether they were a single one.
+    """Return points, (n, gdim), and whether the argument was a single point.
 
     Raises:
         ValueError: The shape is wrong, or a coordinate is not finite.
@@ -187,7 +189,7 @@ def _reference_coordinates(
         if np.abs(step).max() <= COORDINATE_ATOL:
             break
     normals = np.asarray(basix.cell.facet_outward_normals(cell_type), dtype=np.float64)
-    corners = np.array([vertices[facet[0]] for facet in basix.topology(cell_type)[-2]])
+    corners = np.array([vertices[facet[0]] for facet in basix.topology(cell_type)[-2]])  # of facets
     # heights over the facets, positive outside of the cell
     heights = np.einsum("nfj,fj->nf", ξ[:, None, :] - corners, normals)
     is_inside = (heights <= COORDINATE_ATOL).all(axis=1) & (np.abs(step) <= COORDINATE_ATOL).all(
@@ -213,7 +215,7 @@ def _values(expression: Expr, mesh: dolfinx.mesh.Mesh, located: _Located) -> Arr
 
 
 class CellEvaluator:
-    """Evaluation of an expression at the same reference points of all owned cells."""
+    """Evaluation of an expression at given reference points of each owned cell."""
 
     def __init__(self, expression: Expr, mesh: dolfinx.mesh.Mesh, points: Array) -> None:
         """Compile the expression. Collective.
@@ -232,7 +234,7 @@ class CellEvaluator:
         self._size = int(np.prod(expression.ufl_shape))
 
     def values(self) -> Array:
-        """Return the present values, (n_cells, points, components)."""
+        """Return the current values, (n_cells, points, components)."""
         shape = (len(self._cells), self._n_points, self._size)
         if not len(self._cells):
             return np.zeros(shape)
@@ -242,8 +244,8 @@ class CellEvaluator:
 def cell_values(expression: Expr, mesh: dolfinx.mesh.Mesh) -> Array:
     """Return an expression at the centroids of the owned cells, (n_cells, …). Collective.
 
-    Data at quadrature points have no value at a centroid: their weighted mean over the cell is
-    returned.
+    Data at quadrature points have no value at a centroid. For them, the weighted mean over the cell
+    is returned.
     """
     rule = quadrature_rule(expression)
     if rule is None:

@@ -3,11 +3,11 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Output for ParaView: all fields in one file, step by step (docs/stresses.md).
 
-The format is VTX, `name.bp`, if dolfinx has ADIOS2: each field becomes a discontinuous function of
-the degree of the geometry. Otherwise, and for prisms, it is XDMF: continuous fields at nodes, other
-fields with one value per cell. Data at quadrature points are projected to these functions, or
-written at their points to `name_points.xdmf`. Data on facets are fields of a submesh; fields on a
-mesh of vertices are written at points.
+The format is VTX, `name.bp`, if dolfinx has ADIOS2. Each field becomes a discontinuous function of
+the degree of the geometry. Otherwise, and for prisms, the format is XDMF, with continuous fields at
+nodes and one value per cell for all others. Data at quadrature points are projected to these
+functions, or written at their points to `name_points.xdmf`. To write data on facets, use functions
+on a submesh of the facets. Functions on a mesh of vertices are written at points.
 """
 
 from __future__ import annotations
@@ -71,9 +71,10 @@ class FieldWriter:
                 ``points`` writes them at their points.
 
         Raises:
-            ValueError: ``kind`` or ``quadrature`` is unknown, the format lacks the cells, there is
-                no function, two fields have one name, or a field cannot be written: it is mixed,
-                lives on another mesh or on facets, or has several quadrature rules.
+            ValueError: ``kind`` or ``quadrature`` is unknown, the format does not have the mesh's
+                cells, there is no function, two fields have the same name, or a field cannot be
+                written: it is mixed, lives on another mesh or on facets, or has several quadrature
+                rules.
             OSError: The file cannot be created.
         """
         require_sequence(dolfinx.fem.Function, functions=functions)
@@ -102,7 +103,7 @@ class FieldWriter:
         self.path = self._outputs[0].path
 
     def write(self, t: float) -> None:
-        """Write the current values at a time or load, which orders the steps. Collective."""
+        """Write a step: the current values at a time or load t. Collective."""
         if not math.isfinite(t):
             raise ValueError(f"t={t}: give a finite time or load.")
         for output in self._outputs:
@@ -128,7 +129,7 @@ def _named_fields(
     """Return functions and expressions by their names.
 
     Raises:
-        ValueError: There is no function, or two fields have one name.
+        ValueError: There is no function, or two fields have the same name.
     """
     fields = [*((f.name, f) for f in functions), *expressions.items()]
     names = [name for name, _ in fields]
@@ -143,7 +144,7 @@ class _SortedFields:
     """Fields of one mesh, sorted by how they are written.
 
     Attributes:
-        copies: Copies in spaces of the format, for the file of functions.
+        copies: Copies of fields for the file of functions, in spaces that the format can write.
     """
 
     def __init__(
@@ -165,11 +166,14 @@ class _SortedFields:
 
     @property
     def at_points(self) -> QuadratureFields | VertexFields | None:
-        """Fields with values at points, for the file of points; None without any."""
+        """Fields with values at points, for the file of points; None without any.
+
+        Vertex fields exist on a mesh of vertices only, quadrature fields on all other meshes.
+        """
         return self._quadrature_fields or self._vertex_fields
 
     def add(self, name: str, field: dolfinx.fem.Function | Expr) -> None:
-        """Choose how a field is written, and evaluate it once. Collective.
+        """Choose how a field is written, and evaluate a copy of it once. Collective.
 
         Args:
             name: Its name in the file.
@@ -203,7 +207,7 @@ class _SortedFields:
 
 
 def _check_field(field: dolfinx.fem.Function | Expr, mesh: dolfinx.mesh.Mesh) -> None:
-    """Raise a ValueError if a field is not on the mesh, or has several elements."""
+    """Raise a ValueError if a field has another mesh, a test function, or a mixed element."""
     if any(domain != mesh.ufl_domain() for domain in extract_domains(field)):
         raise ValueError("it lives on another mesh than the first function; open a file for each.")
     if ufl.algorithms.extract_arguments(field):

@@ -1,10 +1,11 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Copies of fields that a file can hold: functions at nodes or in cells, and values at points.
+r"""Copies of fields in a form that files can hold: functions, or values at points.
 
-In each cell the projection of values :math:`f_q` at points :math:`ξ_q` with weights :math:`w_q` to
-a basis :math:`φ_i` minimises :math:`\sum_q w_q (\sum_i c_i φ_i(ξ_q) - f_q)^2`.
+Values :math:`f_q` at quadrature points :math:`ξ_q` with weights :math:`w_q` are projected to a
+basis :math:`φ_i` in each cell. The projection minimises
+:math:`\sum_q w_q (\sum_i c_i φ_i(ξ_q) - f_q)^2`.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ def projection_matrix(φ: Array, weights: Array) -> Array:
 
     Args:
         φ: Values of the basis at the points, (points, basis).
-        weights: Weights of the points, (points,); if one is not positive, all count as equal.
+        weights: Weights of the points, (points,). If one is not positive, ones replace them all.
 
     Returns:
         Π, (basis, points).
@@ -41,7 +42,7 @@ class FieldCopy:
     """A copy of a user's field, in a space that the file can hold.
 
     Attributes:
-        function: The function, whose values are those of the last update.
+        function: The copy, with the values at the last call of :meth:`update`.
     """
 
     def __init__(
@@ -56,7 +57,8 @@ class FieldCopy:
         Args:
             name: Name of the function.
             field: The field, interpolated, or projected if it has data at quadrature points.
-            space: Space of the function.
+            space: Space of the function, of a Lagrange element or a discontinuous one: its dofs are
+                values at points.
             rule: Points and weights of the field's quadrature elements; None without any.
         """
         self.function = dolfinx.fem.Function(space, name=name)
@@ -74,7 +76,7 @@ class FieldCopy:
             self._evaluator = CellEvaluator(field, space.mesh, interpolation_points(space))
 
     def update(self) -> None:
-        """Set the function to the present values of the field. Collective."""
+        """Set the function to the current values of the field. Collective."""
         if self._source is not None:
             self.function.interpolate(self._source)
         if self._evaluator is not None:
@@ -111,20 +113,20 @@ class QuadratureFields:
             points: Its quadrature points in the reference cell, (points, tdim).
 
         Raises:
-            ValueError: The points differ from those of the fields that were added before.
+            ValueError: The points differ from those of the earlier fields.
         """
         if not same_points(self._points, points):
             raise ValueError("its quadrature points are others than those of the fields before it.")
         self._evaluators[name] = CellEvaluator(field, self._mesh, points)
 
     def coordinates(self) -> Array:
-        """Return the points, (n, 3), with a third coordinate of zero in the plane."""
+        """Return the points, (n, 3); on a mesh of the plane the third coordinate is zero."""
         gdim = self._mesh.geometry.dim
         x = self._position.values().reshape(-1, gdim)
         return np.pad(x, ((0, 0), (0, 3 - gdim)))
 
     def values(self) -> dict[str, Array]:
-        """Return the present values of each field at the points, (n, k)."""
+        """Return the current values of each field at the points, (n, k)."""
         values: dict[str, Array] = {}
         for name, evaluator in self._evaluators.items():
             in_cells = evaluator.values()
@@ -133,7 +135,7 @@ class QuadratureFields:
 
 
 class VertexFields:
-    """Functions on a mesh of vertices, at its owned vertices."""
+    """Values of functions on a mesh of vertices, at the owned vertices."""
 
     def __init__(self, mesh: dolfinx.mesh.Mesh) -> None:
         """Create the collection, without any function."""
@@ -156,7 +158,7 @@ class VertexFields:
         return np.asarray(self._mesh.geometry.x[nodes], dtype=np.float64)
 
     def values(self) -> dict[str, Array]:
-        """Return the present values of each function at the vertices, (n, k)."""
+        """Return the current values of each function at the vertices, (n, k)."""
         values: dict[str, Array] = {}
         for name, function in self._functions.items():
             dofmap = function.function_space.dofmap

@@ -3,8 +3,9 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Formats of files for ParaView: VTX and XDMF for functions on a mesh, XDMF for values at points.
 
-An output is one file, or a file and its data. It writes the present values of its fields, step by
-step. A new format of functions is a subclass of :class:`MeshOutput` and an entry of `FORMATS`.
+An output writes the current values of its fields, step by step, to a file that ParaView opens. Some
+formats store the arrays in a second file. A new format of functions is a subclass of
+:class:`MeshOutput` and an entry of `FORMATS`.
 """
 
 from __future__ import annotations
@@ -62,7 +63,10 @@ class MeshOutput(ABC):
     def space_of_copy(
         mesh: dolfinx.mesh.Mesh, field: dolfinx.fem.Function | Expr
     ) -> dolfinx.fem.FunctionSpace:
-        """Return the space in which the format writes a field. Collective."""
+        """Return the space in which the format writes a field. Collective.
+
+        Its element is a Lagrange element or a discontinuous one, see :class:`FieldCopy`.
+        """
 
     @staticmethod
     @abstractmethod
@@ -77,7 +81,8 @@ class MeshOutput(ABC):
             comm: Communicator of the mesh.
 
         Raises:
-            OSError: It cannot be written, on all processes; dolfinx would raise on one.
+            OSError: The file cannot be written. The error is raised on all processes; dolfinx
+                would raise it on one process only.
         """
 
     @abstractmethod
@@ -174,6 +179,7 @@ class XDMFOutput(MeshOutput):
         has_moved = not np.array_equal(self._written_nodes, self._mesh.geometry.x)
         if self._mesh.comm.allreduce(has_moved, op=MPI.LOR):
             self._write_mesh()
+        # XPath of the mesh that was written last, to which the values belong
         grid = f"/Xdmf/Domain/Grid[@GridType='Uniform'][{self._meshes_written}]"
         for copy in self.copies:
             self._file.write_function(copy.function, t, grid)
@@ -183,7 +189,7 @@ class XDMFOutput(MeshOutput):
         self._file.close()
 
     def _write_mesh(self) -> None:
-        """Write the mesh at its current position, each time under a different name."""
+        """Write the mesh at its current position, under a new name each time. Collective."""
         mesh = self._mesh
         self._meshes_written += 1
         name = mesh.name
@@ -221,11 +227,11 @@ class PointOutput:
 
         Args:
             folder: An existing folder.
-            name: Name that the file of functions would have, without suffix.
+            name: Name without suffix, as for a file of functions; ``_points`` is appended to it.
             comm: Communicator of the mesh.
 
         Raises:
-            OSError: It cannot be written, on all processes.
+            OSError: The file cannot be written, on all processes.
         """
         path = folder / f"{name}_points.xdmf"
         _check_files((path, path.with_suffix(".bin")), comm)
@@ -240,7 +246,7 @@ class PointOutput:
         self._cloud.close()
 
 
-#: Formats of functions on a mesh, by the names that a user gives.
+#: Formats of functions on a mesh, by the value of the argument ``kind``.
 FORMATS: dict[str, type[MeshOutput]] = {"vtx": VTXOutput, "xdmf": XDMFOutput}
 
 

@@ -9,13 +9,14 @@ the fits are blended with the hat functions φ_v of the vertices:
 .. math:: \mathcal R f = \sum_v φ_v \, (\bar f_v + G_v (x - \bar x_v)), \qquad
           G_v = \operatorname{cov}(f, x) \operatorname{cov}(x, x)^+ .
 
-A patch has the cells of one layer that share a vertex with a cell at v. Cells near v have larger
-weights: the weight of a cell K is its volume times the number of paths K – w – K' – v from cell to
-vertex to cell to v. With the incidence A of vertices and cells, these numbers are A Aᵀ A.
+The patch of v consists of the cells of one layer that share a vertex with a cell at v. In the fit,
+the weight of a cell K is its volume times the number of pairs (w, K'), where w is a vertex of K and
+K' a cell with the vertices w and v. This number is larger for cells near v. With the incidence A of
+vertices and cells, the numbers are the entries of A Aᵀ A.
 
-A fit smooths the field. Sweeps f* ← f* + R(f − f*) put back what it has smoothed away. The data are
-values inside the cells (:class:`FitToValues`), or means over them with the centroid for x
-(:class:`FitToMeans`; docs/stresses.md).
+A fit smooths the field. Further sweeps f* ← f* + R(f − f*) restore what it has smoothed away. The
+data are values inside the cells (:class:`FitToValues`), or means over cells, located at their
+centroids (:class:`FitToMeans`; docs/stresses.md).
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ from dolfinx_feti.runtime.compat import geometry_dofmap, interpolation_points
 
 __all__ = ["FitToMeans", "FitToValues", "Patches", "create_patches", "moments"]
 
-#: Number of cells whose values at the quadrature points are in memory at once: a memory bound, some
-#: 3 MiB for a stress at 11 points in each cell.
+#: Number of cells that are evaluated at once: a memory bound, some 3 MiB for the values of a stress
+#: at 11 points in each cell.
 CELLS_AT_ONCE = 4096
 
 #: Variance of a patch in a principal direction, over the largest one, below which the patch is
@@ -48,16 +49,16 @@ FLAT_PATCH_RTOL = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Patches:
-    """The patches of a mesh: a vertex has one for each layer.
+    """The patches of a mesh: each vertex has one for each layer.
 
-    n_v is the number of patches of this process, those of ghost vertices included, and n_c the
+    n_v is the number of patches of this process, including those of ghost vertices. n_c is the
     number of owned cells.
 
     Attributes:
         mesh: The mesh.
         n_layers: Number of layers.
-        patches_of_cells: Patches of the d + 1 vertices of each cell in its layer, (n_c, d + 1).
-        incidence: A, 1 for each cell at the vertex of a patch, (n_v, n_c).
+        patches_of_cells: Patches of the d + 1 vertices of each cell, in its layer, (n_c, d + 1).
+        incidence: A, with an entry 1 for a patch and each cell at its vertex, (n_v, n_c).
         points: Quadrature points of the reference cell, (n_q, d).
         to_moments: Maps values f at these points to the means of f and of f (ξ − ξ̄), with the
             reference coordinates ξ, (1 + d, n_q).
@@ -71,7 +72,7 @@ class Patches:
     to_moments: Array
 
     def sum_at_vertices(self, values: Array) -> Array:
-        """Sum values of the cells, (n_c, k), over those at each vertex, (n_v, k). Collective."""
+        """Return A f of cell values f, (n_c, k): the sums at each vertex, (n_v, k). Collective."""
         vertices = self.mesh.topology.index_map(0)
         vector = dolfinx.la.vector(vertices, self.n_layers * values.shape[1])
         vector.array[:] = (self.incidence @ values).ravel()
@@ -80,7 +81,7 @@ class Patches:
         return np.array(vector.array).reshape(-1, values.shape[1])
 
     def sum_over_patches(self, values: Array) -> Array:
-        """Sum values of the cells, (n_c, k), with the weights A Aᵀ A, (n_v, k). Collective."""
+        """Return A Aᵀ A f of cell values f, (n_c, k): sums over patches, (n_v, k). Collective."""
         return self.sum_at_vertices(self.incidence.T @ self.sum_at_vertices(values))
 
 
@@ -89,12 +90,12 @@ def create_patches(
 ) -> Patches:
     """Create the patches of a mesh. Collective.
 
-    They depend on the topology of the mesh only. If it moves, fields are recovered at its current
+    Patches depend on the topology of the mesh only. If the mesh moves, a recovery uses its current
     position.
 
     Args:
         mesh: Triangles in the plane or tetrahedra, with straight edges.
-        layers: The layer of each cell; if not given, all cells are one layer.
+        layers: The layer of each cell; by default all cells are in one layer.
         degree: Quadrature degree inside the cells, 3 or more; 4 suits the stress of P2 elements.
 
     Raises:
@@ -154,7 +155,7 @@ def moments(expression: Expr, patches: Patches) -> Array:
             "The expression does not live on the mesh of the patches: create the patches with the "
             "mesh of the functions in the expression."
         )
-    if not domains:  # UFL has simplified it to zero
+    if not domains:  # UFL has simplified the expression to zero
         return means
     compiled = Compiler(mesh.comm).expression(on_mesh, patches.points)
     for first in range(0, n_cells, CELLS_AT_ONCE):
@@ -173,9 +174,9 @@ def moments(expression: Expr, patches: Patches) -> Array:
 
 
 class FitToMeans:
-    """Linear functions fitted in each patch to means of a field over cells, each at its centroid.
+    """Linear functions, fitted in each patch to the means of a field at the centroids of cells.
 
-    Positions are those of the mesh when the object is created.
+    The positions are those of the mesh at the time when the object is created.
     """
 
     def __init__(self, patches: Patches) -> None:
@@ -209,7 +210,7 @@ class FitToMeans:
 
         Args:
             data: Moments of the field in each cell, from :func:`moments`, (n_c, 1 + d, components).
-            sweeps: Number of fits. Each one fits the remainder of those before it.
+            sweeps: Number of fits. Each is a fit to what the earlier ones have left.
 
         Returns:
             Values at the nodes of the discontinuous quadratic element, (n_c, nodes, components).
@@ -250,11 +251,11 @@ class FitToMeans:
         return mean, self._inverses @ covariance  # cov(x, x)⁺ cov(x, f)
 
     def _variance_in_cells(self) -> Array | float:
-        """Return cov(x, x) over each cell as the fit sees it, (n_c, d, d): zero for one point."""
+        """Return cov(x, x) over each cell, (n_c, d, d): zero, as a mean counts at one point."""
         return 0.0
 
     def _covariance_in_cells(self, data: Array) -> Array | float:
-        """Return cov(x, f) over each cell as the fit sees it, (n_c, d, components).
+        """Return cov(x, f) over each cell, (n_c, d, components): zero, as above.
 
         Args:
             data: Moments of the field in each cell, (n_c, 1 + d, components).
@@ -263,7 +264,7 @@ class FitToMeans:
 
 
 class FitToValues(FitToMeans):
-    """Linear functions fitted in each patch to the values of a field inside the cells."""
+    """Linear functions, fitted in each patch to the values of a field inside the cells."""
 
     def _variance_in_cells(self) -> Array | float:
         """Return cov(x, x) over each cell, (n_c, d, d)."""
@@ -281,7 +282,7 @@ def _layer_of_cells(
     """Return the layer of each owned cell, from 0, (n_c,), and the number of layers. Collective.
 
     Raises:
-        ValueError: The tags belong to another mesh or not to cells, or a cell has none.
+        ValueError: The tags belong to another mesh or not to cells, or a cell has no tag.
     """
     n_cells = mesh.topology.index_map(mesh.topology.dim).size_local
     layer = np.zeros(n_cells, dtype=np.int64)

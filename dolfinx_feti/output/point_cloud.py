@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Point clouds: an XDMF file of points and values for each step, with its data in a binary file."""
+"""Point clouds: an XDMF file with points and values of all steps, and a binary file of arrays."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class PointCloud:
             )
         self._file.Sync()
         self._grids.append("\n".join([*grid, "</Grid>"]))
-        # the whole text at each step, so that the file is complete if the run ends
+        # the whole text is written at each step: the file stays complete if the run is killed
         head = (
             '<?xml version="1.0"?>\n<Xdmf Version="3.0"><Domain>'
             '<Grid GridType="Collection" CollectionType="Temporal">'

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Scenes: a body in an HTML file without links to the network, turned with the mouse.
+"""Scenes: HTML files with a body that is turned with the mouse. They need no network.
 
 A scene shows a panel of :mod:`~dolfinx_feti.output.pictures`::
 
@@ -38,7 +38,7 @@ __all__ = ["Scene", "write_scene"]
 #: Height of a scene in a notebook, in pixels: all of it is visible on a small screen.
 HEIGHT = 480
 
-#: Number of colours in the bar: more cannot be told apart.
+#: Number of colours in the bar; more would be indistinguishable.
 BAR_COLOURS = 16
 
 
@@ -78,9 +78,10 @@ def write_scene(
     Args:
         path: The file; its folder is created.
         panel: The panel.
-        viewer: Direction from the body to the viewer at first; from the right, in front and above
-            if None.
-        limits: Values at the ends of the colours; the percentiles 1 and 99 of the field if None.
+        viewer: Initial direction from the body to the viewer; by default from the right, in front
+            and above.
+        limits: Values at the ends of the colour scale; by default the percentiles 1 and 99 of the
+            field.
         colours: Name of a colour map of matplotlib.
 
     Returns:
@@ -97,7 +98,7 @@ def write_scene(
     def write_here() -> None:
         data = _scene_data(panel, viewer, ColourScale(colours, colour_ranges([panel], limits)))
         text = resources.files(__package__).joinpath("scene.html").read_text(encoding="utf-8")
-        # In JSON, "</" may be written as "<\/": no text of a panel ends the script.
+        # "<\/" is the same as "</" in JSON, and cannot end the script element of the page
         text = text.replace("{{data}}", json.dumps(data).replace("</", "<\\/"))
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")

@@ -3,12 +3,12 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Recovered stresses, more accurate than those inside the cells (docs/stresses.md).
 
-*By patches*, for elements with a pressure P_0: fits to the values inside the cells, σ^in, recover
-the traction across the wall; fits to their means, σ^means, recover the stress along the wall. With
-the normal n, :math:`σ^* = σ^{in} + T (σ^{means} - σ^{in}) T`, :math:`T = I - n ⊗ n`.
+*By patches*, for elements with a pressure P_0: a fit σ^in to the values inside the cells recovers
+the traction across the wall, and a fit σ^means to the means over cells the stress along the wall.
+With the normal n, :math:`σ^* = σ^{in} + T (σ^{means} - σ^{in}) T`, :math:`T = I - n ⊗ n`.
 
-*By balance*, for elements of second order: with the projection Π to linear functions in each cell,
-σ* = σ + (Π(n·σ n) − n·σ n) I.
+*By balance*, for elements of second order: the pressure is corrected so that the normal traction
+n·σ n is linear in each cell, σ* = σ + (Π(n·σ n) − n·σ n) I. Π is the projection to such functions.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["balanced_stress", "recovered_field"]
 
-#: Fits of a field, each to the remainder of those before; further ones change little.
+#: Number of fits of a field, each to what the earlier ones have left. Further fits change little.
 SWEEPS = 3
 
-#: Variation inside the cells, relative to the largest mean, below which a field is constant there:
-#: rounding with a margin.
+#: Variation inside the cells, over the largest mean, up to which a field counts as constant in each
+#: cell: rounding with a margin.
 CONSTANT_RTOL = 1e-12
 
 
@@ -114,7 +114,7 @@ def _unit_normals(normal: Expr, patches: Patches, fit: FitToMeans) -> Array:
         fit: The fit in these patches.
 
     Raises:
-        ArithmeticError: It vanishes at a node.
+        ArithmeticError: The normal vanishes at a node.
     """
     n = fit.recover(moments(normal, patches), sweeps=1)
     length = np.linalg.norm(n, axis=2, keepdims=True)
@@ -130,7 +130,7 @@ def _unit_normals(normal: Expr, patches: Patches, fit: FitToMeans) -> Array:
 def balanced_stress(
     stress: Expr, u: dolfinx.fem.Function, *, normal: Expr, degree: int | None = None
 ) -> Expr:
-    """Correct the pressure of a Cauchy stress by the traction on surfaces along the wall.
+    """Correct the pressure of a Cauchy stress by the balance of the traction across the wall.
 
     Args:
         stress: The stress, with its pressure part, shape (d, d).
@@ -139,7 +139,8 @@ def balanced_stress(
         degree: Degree of the quadrature inside the cells; twice the degree of u if not given.
 
     Returns:
-        The expression σ*. Π(n·σ n) is computed in this call: for another state, call it again.
+        The expression σ*. Π(n·σ n) is computed once, in this call: call it again for another
+        state.
 
     Raises:
         ValueError: The stress is not a tensor, or the normal is not a vector.

@@ -3,10 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 r"""Triangles of the surface of a body, with values of fields at their corners, for pictures.
 
-Each facet is divided at the nodes of a quadratic element: a triangle into 4, a quadrilateral into 8
-triangles. Positions and fields are evaluated there in the cell of the facet, without interpolation.
-Where facets meet, a field has the mean of their values. In two dimensions the cells take the place
-of the facets.
+Each facet is divided at the nodes of a quadratic element: a triangle into 4 triangles, a
+quadrilateral into 8. Positions and fields are evaluated at these nodes, in the cell of the facet,
+without interpolation. At a node that several facets share, a field has the mean of their values. In
+two dimensions the cells take the place of the facets.
 """
 
 from __future__ import annotations
@@ -27,12 +27,14 @@ from dolfinx_feti.runtime.collective import bounding_box, on_all
 
 __all__ = ["BodySurface", "gather_surface"]
 
-#: Distance of points that count as one, over the extent of the body. Rounding errors are 1e-16 of
-#: it, the edges of ten million cells 5e-3.
+#: Distance up to which points count as one, over the extent of the body. Rounding errors are 1e-16
+#: of it, edges of cells 5e-3 in a mesh of ten million cells.
 SAME_POINT_RTOL = 1e-8
 
-#: Shift of the cells of size SAME_POINT_RTOL in which points are sorted: coordinates such as 2⁻⁹
-#: must not be on their boundary. Any number that is no short binary or decimal fraction would do.
+#: Shift of coordinates, in units of the tolerance, before they are rounded down. Coordinates such
+#: as 2⁻⁹ are multiples or halves of the tolerance: without a shift, or with one of 0.5, rounding
+#: errors would separate equal points. Any number that is no short binary or decimal fraction would
+#: do.
 ROUNDING_SHIFT = 0.381966
 
 #: Pairs of corners whose mean is a node of a triangle: its corners, and the middles of its edges.
@@ -68,14 +70,14 @@ class BodySurface:
 
 @dataclass(frozen=True, slots=True)
 class _Triangles:
-    """Triangles that do not share their corners yet.
+    """Triangles of a surface, before equal corners are merged.
 
     Attributes:
         X: Corners in the reference body, (t, 3, 3).
         x: Corners in the deformed body, (t, 3, 3).
         values: Values of the field at the corners, (t, 3, components).
         part: Number of the part of the body, (t,).
-        face: Number of the face, which several triangles make up, (t,).
+        face: Number of the face that the triangle is part of, (t,).
     """
 
     X: Array
@@ -85,10 +87,10 @@ class _Triangles:
     face: Numbers
 
     def turned(self, mask: Mask) -> _Triangles:
-        """Return the triangles with the corners of some in reverse, so that their normals turn.
+        """Return the triangles with reversed normals where the mask is set.
 
         Args:
-            mask: Mask of the triangles that are turned, (t,).
+            mask: Mask of the triangles whose corners are reversed, (t,).
         """
         is_turned = mask[:, None, None]
         return replace(
@@ -117,7 +119,7 @@ def gather_surface(
         part: Number of the part of each owned cell, (n_cells,). All cells of a part are on one
             process, and each part has its own surface. All cells are one part if None.
         mask: Owned cells of the body; all if None.
-        is_continuous: Whether faces that meet share their points, with the mean of their values.
+        is_continuous: Whether adjacent faces share points, with the mean of their values there.
 
     Returns:
         The surface on the first process; None on all others.
@@ -140,7 +142,7 @@ def _triangles(
     part: Integers | None,
     mask: Mask | None,
 ) -> _Triangles:
-    """Return the triangles of this process; arguments as in gather_surface. Collective."""
+    """Return the triangles of this process, for the arguments of gather_surface. Collective."""
     cells, faces = on_all(lambda: _boundary(mesh, part, mask), mesh.comm)
     nodes, triangles_of_faces = _reference_triangles(mesh)
     nodes_of_triangles = triangles_of_faces[faces]  # (n_faces, triangles of a face, 3)
@@ -176,7 +178,7 @@ def _triangles(
 
 
 def _joined(of_processes: Sequence[_Triangles]) -> _Triangles:
-    """Return the triangles of all processes, with their faces numbered anew."""
+    """Join the triangles of all processes, and number their faces consecutively."""
     faces = []
     n_faces = 0
     for triangles in of_processes:
@@ -256,9 +258,9 @@ def _reference_triangles(mesh: dolfinx.mesh.Mesh) -> tuple[Array, Numbers]:
 
 
 def _evaluate(expression: Expr, mesh: dolfinx.mesh.Mesh, cells: Integers, nodes: Array) -> Array:
-    """Return an expression at reference points of cells, (n, nodes, size), with size 3 of vectors.
+    """Return an expression at reference points of cells, (n, nodes, size). Collective.
 
-    Vectors in the plane get a third component of zero. Collective.
+    The size is 1 for scalars and 3 for vectors; the third component is zero in the plane.
     """
     size = int(np.prod(expression.ufl_shape, dtype=np.int64))
     compiled = Compiler(mesh.comm).expression(expression, nodes)
@@ -292,7 +294,7 @@ def _with_shared_points(
     Args:
         triangles: The triangles.
         group: Number of the group of each triangle, (t,).
-        tolerance: Distance of reference positions that are one point.
+        tolerance: Distance up to which reference positions count as one point.
         is_plane: Whether the body is a domain of the plane.
     """
     X = triangles.X.reshape(-1, 3)

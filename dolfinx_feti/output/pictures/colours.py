@@ -18,7 +18,7 @@ __all__ = ["FIBRES", "TISSUE", "ColourScale", "subdomain_colours"]
 #: Colour map of matplotlib for subdomains: twelve light colours, so that shading shows the shape.
 SUBDOMAIN_MAP = "Set3"
 
-#: Colours of the families of fibres; a fourth family has the first one again.
+#: Colours of the families of fibres; a fourth family has the first colour again.
 FIBRES = ("#16325c", "#b5443a", "#2f7d4f")
 
 #: Colour of the surface below fibres.
@@ -31,7 +31,7 @@ class ColourScale:
 
     Attributes:
         name: Name of a colour map of matplotlib.
-        ranges: Values at the ends of the colours for each label.
+        ranges: Values at the ends of the colour scale for each label.
     """
 
     name: str

@@ -20,7 +20,7 @@ from dolfinx_feti.runtime.collective import on_root
 
 __all__ = ["Picture", "colour_ranges", "draw", "require_path_and_panels"]
 
-#: Percentiles of a field at the ends of its colours: corners with singular stresses are cut off.
+#: Percentiles of a field at the ends of the colour scale: singular stresses at corners are cut off.
 PERCENTILES = (1.0, 99.0)
 
 
@@ -52,8 +52,10 @@ def draw(
     Args:
         path: The file; its folder is created.
         panels: The panels.
-        viewer: Direction from the body to the viewer; from the right, in front and above if None.
-        limits: Values at the ends of the colours; the percentiles 1 and 99 of a field if None.
+        viewer: Direction from the body to the viewer; by default from the right, in front and
+            above.
+        limits: Values at the ends of the colour scale; by default the percentiles 1 and 99 of a
+            field.
         colours: Name of a colour map of matplotlib.
         dark: Whether texts are light, for a dark background.
 
@@ -64,7 +66,10 @@ def draw(
         TypeError: ``path`` is no path, or one of ``panels`` no panel.
         ValueError: There is no panel, or ``viewer`` is zero or not finite.
         RuntimeError: This machine has neither a display nor a library for drawing without one.
-        OSError: The file cannot be written. All errors are raised on all processes.
+        OSError: The file cannot be written.
+
+    Note:
+        All errors are raised on all processes.
     """
     require_path_and_panels(path, panels)
     path = Path(path)
@@ -108,7 +113,7 @@ def colour_ranges(
 
     Args:
         panels: The panels; those with one label have the same range.
-        limits: The values for all labels; the percentiles 1 and 99 of a field if None.
+        limits: The values for all labels; by default the percentiles 1 and 99 of each label.
     """
     ranges = {}
     for label in dict.fromkeys(panel.label for panel in panels if panel.label):

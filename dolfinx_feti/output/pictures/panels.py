@@ -151,13 +151,13 @@ class SubdomainPanel(Panel):
     """The subdomains of a body."""
 
     def add_to(self, plotter: Any, scale: ColourScale) -> None:
-        """Add the subdomains, each in a colour of its own."""
+        """Add the subdomains, each in a different colour."""
         mesh = self._shaded_mesh()
         mesh.cell_data["colour"] = subdomain_colours(mesh.cell_data["part"])
         plotter.add_mesh(mesh, scalars="colour", rgb=True, **self._shading())
 
     def coloured_meshes(self, scale: ColourScale) -> list[Any]:
-        """Return the subdomains, which share no points, each in a colour of its own."""
+        """Return the subdomains, each in a different colour; they share no points."""
         mesh = self._shaded_mesh()
         part_of_point = np.zeros(mesh.n_points, dtype=np.int64)
         part_of_point[mesh.regular_faces.ravel()] = np.repeat(mesh.cell_data["part"], 3)
@@ -213,14 +213,14 @@ def field(
     """Return a panel with a body coloured by a field. Collective.
 
     Args:
-        expression: A Function or UFL expression: a scalar, or a vector or tensor, whose norm is
-            drawn.
+        expression: A Function or UFL expression. The norm of a vector or tensor is drawn.
         label: Name and unit for the colour bar.
         displacement: Displacement of the points, such as u or 10 * u; None for the body at rest.
         title: Text above the body.
         cells: Local numbers of the cells that are drawn, such as those of a layer,
-            ``wall.cell_tags.find(wall.layers["media"])``; all if None.
-        is_continuous: Whether the field is averaged where cells meet; if not, it has jumps there.
+            ``wall.cell_tags.find(wall.layers["media"])``; by default all.
+        is_continuous: Whether the field is averaged over adjacent cells; if not, its jumps are
+            visible.
 
     Raises:
         ImportError: PyVista is not installed.
@@ -243,8 +243,8 @@ def subdomains(
     Args:
         problem: The problem.
         displacement: Displacement of the points; None for the body at rest.
-        apart: How far the centre of each subdomain moves away from the middle of the body, as a
-            share of their distance.
+        apart: Shift of each subdomain away from the middle of the body, over the distance of its
+            centre from there.
         title: Text above the body.
 
     Raises:

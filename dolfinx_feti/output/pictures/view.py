@@ -77,9 +77,9 @@ def _axes(points: Array) -> Array:
     """Return the directions to the right, to the back and upwards as rows, (3, 3).
 
     A body that is longer than it is wide lies on its side: its first principal axis, or a
-    coordinate axis close to it, points to the right. Its second principal axis points upwards, or a
-    coordinate axis if the second one is arbitrary, as in a tube. Of all other bodies x points to
-    the right and z upwards.
+    coordinate axis close to it, points to the right. Its second principal axis points upwards. If
+    this axis is arbitrary, as in a tube, a coordinate axis points upwards. For all other bodies x
+    points to the right and z upwards.
     """
     x = points - points.mean(axis=0)
     _, lengths, directions = np.linalg.svd(x, full_matrices=False)
