@@ -79,7 +79,7 @@ class HandTorn:
         return self.matrix[np.ix_(~self.dirichlet, ~self.dirichlet)]
 
     @property
-    def negative(self) -> int:
+    def n_negative(self) -> int:
         """Number of negative eigenvalues of :attr:`free_matrix`."""
         return np.count_nonzero(np.linalg.eigvalsh(self.free_matrix) < 0.0)
 
@@ -217,7 +217,7 @@ def face(x: Array) -> Mask:
     return x[:, 0] == 0.0
 
 
-def components(where: Callable[[Array], Mask], *which: int) -> Callable[[Array], Mask]:
+def components_at(where: Callable[[Array], Mask], *which: int) -> Callable[[Array], Mask]:
     """Return a marker of some components of the nodes that ``where`` marks."""
     return lambda x: where(x)[:, None] & np.isin(np.arange(x.shape[1]), which)
 
@@ -236,7 +236,7 @@ def tear(
     *,
     pattern: Array | None = None,
     n_modes: int | None = None,
-    entries: bool = False,
+    only_nonzeros: bool = False,
 ) -> HandTorn:
     """Distribute subdomains over the processes and wrap them as a torn matrix.
 
@@ -248,12 +248,12 @@ def tear(
         dirichlet: Mask of the prescribed dofs, (dofs,).
         pattern: Non-zero where each matrix stores an entry; full if not given.
         n_modes: Number of modes that are attached; all if not given.
-        entries: Whether a matrix stores only its entries that are not zero.
+        only_nonzeros: Whether a matrix stores only its entries that are not zero.
     """
     bs = len(dirichlet) // len(x)
     n = len(dirichlet)
     mine = own_subdomains(len(K))
-    every = [K_i != 0.0 if entries else np.ones_like(K_i) for K_i in K]
+    every = [K_i != 0.0 if only_nonzeros else np.ones_like(K_i) for K_i in K]
     local = block_matrix([(K[i], every[i] if pattern is None else pattern) for i in mine], bs)
     blocks = [dofs[i][::bs] // bs for i in mine]
     ends = [len(x) * (COMM.rank + j) // COMM.size * bs for j in (0, 1)]
@@ -391,7 +391,7 @@ def solve(ksp: PETSc.KSP, problem: HandTorn, values: Array) -> tuple[int, Array]
     return ksp.getConvergedReason(), whole(x.array_r)
 
 
-def solved(
+def solve_and_check(
     ksp: PETSc.KSP, problem: HandTorn, tolerance: float = 1e-8, values: Array | None = None
 ) -> dolfinx_feti.FETI:
     """Assert that a solve converges to the dense solution; return the FETI context."""

@@ -68,7 +68,7 @@ def bump(dim, length=1.0):
     return at
 
 
-def cube(dim: int, n: int, cell: Cell, length: float = 1.0) -> dolfinx.mesh.Mesh:
+def square_or_cube(dim: int, n: int, cell: Cell, length: float = 1.0) -> dolfinx.mesh.Mesh:
     """Mesh a square or cube of a length."""
     if dim == 2:
         return dolfinx.mesh.create_rectangle(COMM, [(0, 0), (length, length)], (n, n), cell)
@@ -120,7 +120,7 @@ def block(
         volume_tolerance: Of the problem; the material then has a condensed pressure.
         along_arc: Whether the pressure on the upper face is unknown.
     """
-    mesh = cube(dim, n, cell, length)
+    mesh = square_or_cube(dim, n, cell, length)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (dim,)))
     u = dolfinx.fem.Function(V, name="u")
     last = dim - 1

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from cases import case, each, every_formulation, every_interior, every_type
 from collective import COMM, agree, equal, raises
-from hand_torn import random_values, softened, solve, solved, unsymmetric
+from hand_torn import random_values, softened, solve, solve_and_check, unsymmetric
 from problems import cube, elasticity, owned, poisson, torn
 
 import dolfinx
@@ -90,7 +90,7 @@ def test_nan_or_inf_in_the_load_fails_that_solve_only(
     values[np.flatnonzero(problem.dirichlet == on_boundary)[3]] = value
     solve_once(ksp, problem, values)
     check_failed(ksp, Reason.DIVERGED_NANORINF, "NaN", "load")
-    agree(solved(ksp, problem, 1e-6).message == "")
+    agree(solve_and_check(ksp, problem, 1e-6).message == "")
 
 
 # ---- no convergence -------------------------------------------------------------------------
@@ -201,13 +201,13 @@ def test_cg_refuses_an_indefinite_matrix_that_the_defaults_solve(
 ):
     """With CG set by option, or the primal form, the message names an option that solves."""
     problem = torn_grid(change=change, **GRID)
-    agree(problem.negative > 0)
+    agree(problem.n_negative > 0)
     ksp = create_ksp(problem.A, feti_type=kind, **options)
     solve_once(ksp, problem)
     indefinite = (Reason.DIVERGED_INDEFINITE_MAT, Reason.DIVERGED_INDEFINITE_PC)
     agree(ksp.getConvergedReason() in indefinite, ksp.getConvergedReason())
     agree(remedy in ksp.getPythonContext().message, ksp.getPythonContext().message)
-    solved(create_ksp(problem.A, feti_type=kind, ksp_rtol=1e-10), problem, 1e-7)
+    solve_and_check(create_ksp(problem.A, feti_type=kind, ksp_rtol=1e-10), problem, 1e-7)
 
 
 @every_type
@@ -231,15 +231,15 @@ def test_indefinite_matrix_is_refused_before_iterating(
     With one subdomain there is no interface: FETI is a direct solver that counts pivots.
     """
     problem = torn_grid(change=softened(share), **grid)
-    agree(problem.negative >= min_negative and (problem.negative > 0) == (min_negative > 0))
+    agree(problem.n_negative >= min_negative and (problem.n_negative > 0) == (min_negative > 0))
     options = {"feti_type": kind, "feti_interior": interior, "feti_deflation": 0}
     ksp = create_ksp(problem.A, FETI(refuse_indefinite=True), **options)
     context = ksp.getPythonContext()
-    agree(context.inertia.assembled == problem.negative, context.inertia)
+    agree(context.inertia.assembled == problem.n_negative, context.inertia)
     if grid is not ONE_SUBDOMAIN:
         agree((context.inertia.dual > 0) == (share > 0.0))
     if min_negative == 0:
-        solved(ksp, problem)
+        solve_and_check(ksp, problem)
     else:
         solve_once(ksp, problem)
         check_failed(ksp, Reason.DIVERGED_INDEFINITE_MAT)
@@ -254,7 +254,7 @@ def test_proved_negative_eigenvalues_are_at_most_those_of_the_matrix(
 ):
     """The inertia gives a lower bound, which is positive if A has several of them."""
     problem = torn_grid(change=softened(share), **SIX_SUBDOMAINS)
-    negative = problem.negative
+    negative = problem.n_negative
     for pc_type in ("dirichlet", "lumped", "identity"):
         system = create_dual(problem.A, type=kind, interior=interior, pc_type=pc_type)
         proved = system.inertia.assembled

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from cases import every_formulation
 from collective import COMM, agree, equal, raises, small, whole
-from hand_torn import random_values, solve, solved
+from hand_torn import random_values, solve, solve_and_check
 from mixed import solve_assembled
 from problems import cube, dirichlet, elasticity, left, poisson
 
@@ -42,7 +42,7 @@ def test_solver_is_selected_by_petsc_options(torn_grid, lifetime):
     with inserted("mine_", {**types, "ksp_rtol": 1e-9, "feti_pc_type": "lumped"}):
         ksp.setFromOptions()
         ksp.setUp()
-    context = solved(ksp, problem, 1e-7)
+    context = solve_and_check(ksp, problem, 1e-7)
     agree(ksp.getConvergedReason() == Reason.CONVERGED_RTOL)
     agree(context.report().options.pc_type == "lumped")
     agree(ksp.getTolerances()[0] == 1e-9 and ksp.getPC().getType() == "none")
@@ -190,10 +190,10 @@ def test_zero_load_needs_no_iteration(torn_grid, create_ksp):
     """A rigid motion prescribed on the whole boundary is solved, too."""
     problem = torn_grid((2, 2), (2, 2), components=2)
     ksp = create_ksp(problem.A)
-    context = solved(ksp, problem, 0.0, values=np.zeros(len(problem.dirichlet)))
+    context = solve_and_check(ksp, problem, 0.0, values=np.zeros(len(problem.dirichlet)))
     agree(context.iterations == 0 == ksp.getIterationNumber())
     motion = problem.modes @ np.array([0.5, 2.0, -0.1])
-    solved(ksp, problem, values=np.where(problem.dirichlet, motion, 0.0))
+    solve_and_check(ksp, problem, values=np.where(problem.dirichlet, motion, 0.0))
 
 
 def test_absolute_tolerance_ends_a_solve(torn_grid, create_ksp):
@@ -220,7 +220,7 @@ OPTIONS = [
 def test_options_reach_krylov_methods_and_subsolvers_by_prefix(options, torn_grid, create_ksp):
     """Each choice of the Krylov method, coarse solver or factorisation gives the solution."""
     problem = torn_grid((3, 2), (3, 3), components=2)
-    context = solved(create_ksp(problem.A, ksp_rtol=1e-10, **options), problem)
+    context = solve_and_check(create_ksp(problem.A, ksp_rtol=1e-10, **options), problem)
     agree(context.method == options.get("feti_dual_ksp_type", "cg"))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from cases import case, every_interior, every_type
 from collective import COMM, agree, equal
-from hand_torn import own_subdomains, random_values, softened, solve, solved
+from hand_torn import own_subdomains, random_values, softened, solve, solve_and_check
 
 from dolfinx_feti import FETI
 from dolfinx_feti.errors import SetUpError
@@ -52,7 +52,7 @@ def create_primal_ksp(torn_grid, create_ksp):
 
 def age_after_solve(problem, ksp):
     """Assert that a solve agrees with LU; return the age of the preconditioner."""
-    return solved(ksp, problem).age
+    return solve_and_check(ksp, problem).age
 
 
 def raise_set_up_error(*args, **kwargs):

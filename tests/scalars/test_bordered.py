@@ -86,7 +86,7 @@ def test_regular_bordered_system_is_solved(form, symmetric, units, torn_grid, cr
 def test_indefinite_matrix_past_a_limit_point_is_solved(form, torn_grid, create_ksp):
     """A has one negative eigenvalue, and the bordered matrix is as regular as ever."""
     problem = torn_grid(change=softened(0.008), **GRID)
-    agree(problem.negative == 1)
+    agree(problem.n_negative == 1)
     b = np.random.default_rng(1).standard_normal(len(problem.dirichlet))
     ksp = create_ksp(problem.A, feti_formulation=form, ksp_rtol=RTOL)
     check(problem, ksp, (b, *smooth_border(problem), np.array([0.3, -0.2])))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from cases import case, each
 from collective import agree, raises, small
-from hand_torn import random_values, solve, solved
+from hand_torn import random_values, solve, solve_and_check
 
 from dolfinx_feti.feti.option_checks import DUAL_METHODS
 from dolfinx_feti.feti.options import read_options
@@ -74,7 +74,9 @@ def test_every_supported_norm_solves(method, norm, torn_grid, create_ksp):
     problem = grid_with_jumps(torn_grid, 1.0)
     options = {"feti_dual_ksp_type": method, "feti_dual_ksp_norm_type": norm, "ksp_rtol": RTOL}
     try:
-        context = solved(create_ksp(problem.A, feti_formulation="dual", **options), problem)
+        context = solve_and_check(
+            create_ksp(problem.A, feti_formulation="dual", **options), problem
+        )
     except PETSc.Error as error:
         agree("does not support norm type" in chained_message(error), chained_message(error))
     else:
@@ -134,7 +136,7 @@ def test_no_memory_is_reserved_for_iterations_that_are_not_taken(
 ):
     """Unlimited iterations, restarts or directions need at most 512 MiB, as few as are taken."""
     problem = torn_grid(**GRID)
-    solved(
+    solve_and_check(
         create_ksp(problem.A, **{"feti_formulation": "dual", "ksp_rtol": RTOL, **options}), problem
     )
 
@@ -144,7 +146,7 @@ def test_iterations_may_exceed_those_of_one_run(torn_grid, create_ksp, monkeypat
     monkeypatch.setattr("dolfinx_feti.feti.dual.krylov.MAX_ITERATIONS_OF_RUN", 8)
     problem = grid_with_jumps(torn_grid, 1.0)
     options = {"feti_formulation": "dual", "feti_scaling": "multiplicity", "ksp_rtol": 1e-8}
-    context = solved(create_ksp(problem.A, **options), problem, 1e-6)
+    context = solve_and_check(create_ksp(problem.A, **options), problem, 1e-6)
     agree(context.iterations > 8)
     limited = create_ksp(problem.A, ksp_max_it=12, **options)
     reason, _ = solve(limited, problem, random_values(problem))

@@ -77,7 +77,7 @@ def test_torn_dof_without_entries_is_refused(formulation, torn_grid, lifetime, c
     dirichlet = np.append(plain.dirichlet, False)
     blocks = [*plain.K, np.zeros((1, 1))]
     dofs = [*plain.dofs, np.array([n])]
-    problem = lifetime.own(tear(blocks, dofs, x, modes, dirichlet, entries=True))
+    problem = lifetime.own(tear(blocks, dofs, x, modes, dirichlet, only_nonzeros=True))
     ksp = create_ksp(problem.A, feti_formulation=formulation)
     reason, _ = solve(ksp, problem, random_values(problem))
     message = ksp.getPythonContext().message

@@ -16,7 +16,7 @@ from hand_torn import (
     scaled_diagonal,
     softened,
     solve,
-    solved,
+    solve_and_check,
     unsymmetric,
 )
 
@@ -293,7 +293,7 @@ def test_gmres_takes_the_iterations_of_cg_for_a_small_skew_part(
 def test_gmres_solves_unsymmetric_matrices(share, skew, kind, torn_grid, create_ksp):
     """``auto`` takes the primal form, even if the entries are random but for their pattern."""
     problem = torn_grid(change=unsymmetric(share, skew=skew), **WIDE)
-    context = solved(create_ksp(problem.A, feti_type=kind, ksp_rtol=1e-11), problem)
+    context = solve_and_check(create_ksp(problem.A, feti_type=kind, ksp_rtol=1e-11), problem)
     agree(context.message == "" and context.method == "gmres", context.message)
     report = context.report()
     agree((report.formulation, report.interior) == ("primal", "kept"), report)
@@ -305,7 +305,7 @@ def test_gmres_solves_unsymmetric_matrices(share, skew, kind, torn_grid, create_
 def test_gmres_solves_unsymmetric_patterns(scaling, components, torn_grid, create_ksp):
     """Entries have no mirror, so that ½ (K + Kᵀ) has another pattern than K, and other rows."""
     problem = torn_grid((3, 2), (7, 7), components=components, change=one_sided(0.02))
-    context = solved(create_ksp(problem.A, feti_scaling=scaling, ksp_rtol=1e-11), problem)
+    context = solve_and_check(create_ksp(problem.A, feti_scaling=scaling, ksp_rtol=1e-11), problem)
     agree(context.method == "gmres" and context.iterations < 25, context.iterations)
 
 
@@ -314,7 +314,7 @@ def test_fresh_starts_make_up_for_few_gmres_directions(torn_grid, create_ksp, mo
     monkeypatch.setattr(gmres_module, "GMRES_DIRECTIONS", 8)
     problem = torn_grid(change=unsymmetric(0.1, skew=True), **WIDE)
     ksp = create_ksp(problem.A, ksp_rtol=1e-10)
-    agree(solved(ksp, problem, 1e-7).iterations > 8)
+    agree(solve_and_check(ksp, problem, 1e-7).iterations > 8)
     monkeypatch.setattr("dolfinx_feti.feti.outer_loop.MAX_FRESH_STARTS", 0)
     agree(solve(ksp, problem, random_values(problem))[0] == Reason.DIVERGED_BREAKDOWN)
     agree("stagnates" in ksp.getPythonContext().message)

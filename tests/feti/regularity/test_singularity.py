@@ -11,7 +11,16 @@ import pytest
 import scipy.linalg
 from cases import case, each, every_formulation, every_interior, every_type
 from collective import agree
-from hand_torn import components, dofs_of, edge, face, nowhere, origin, scaled_diagonal, solved
+from hand_torn import (
+    components_at,
+    dofs_of,
+    edge,
+    face,
+    nowhere,
+    origin,
+    scaled_diagonal,
+    solve_and_check,
+)
 
 from dolfinx_feti.errors import SetUpError, SingularError
 
@@ -28,8 +37,8 @@ def bottom(x):
     return x[:, 2] == 0.0
 
 
-on_line = components(edge, 0, 1)
-on_plane = components(face, 0)
+on_line = components_at(edge, 0, 1)
+on_plane = components_at(face, 0)
 #: Grid, dimension of the kernel, what the message says.
 FREE = {
     "Neumann's problem in 1-D": (case((3,), (2,), fixed=nowhere), 1, "a constant"),
@@ -50,18 +59,18 @@ FREE = {
         "2 translations and 1 rotation free",
     ),
     "held at a point of the plane": (
-        case((2, 2), (3, 2), 2, fixed=components(origin, 0, 1)),
+        case((2, 2), (3, 2), 2, fixed=components_at(origin, 0, 1)),
         1,
         "leave 1 rotation free",
     ),
     "slides in the plane": (case((3, 2), (2, 2), 2, fixed=on_plane), 1, "leave 1 translation free"),
     "held at a point": (
-        case((2, 2, 2), (1, 1, 1), 3, fixed=components(origin, 0, 1, 2)),
+        case((2, 2, 2), (1, 1, 1), 3, fixed=components_at(origin, 0, 1, 2)),
         3,
         "leave 3 rotations free",
     ),
     "held on a line": (
-        case((2, 1, 2), (2, 2, 2), 3, fixed=components(edge, 0, 1, 2)),
+        case((2, 1, 2), (2, 2, 2), 3, fixed=components_at(edge, 0, 1, 2)),
         1,
         "leave 1 rotation free",
     ),
@@ -76,7 +85,7 @@ FREE = {
         "2 translations and 1 rotation free",
     ),
     "slides on two planes": (
-        case((3, 1, 1), (2, 2, 2), 3, fixed=either(on_plane, components(bottom, 2))),
+        case((3, 1, 1), (2, 2, 2), 3, fixed=either(on_plane, components_at(bottom, 2))),
         1,
         "leave 1 translation free",
     ),
@@ -206,7 +215,7 @@ APART = [(0, 0), (2, 0), (9, 0), (11, 0)]
 HINGE = [(0, 0), (2, 2)]
 #: Bricks that touch in corners: two on the ground carry a third one by two more in between.
 LINKS = [(0, 0), (2, 2), (4, 4), (6, 2), (8, 0)]
-ENDS = either(on_plane, components(lambda x: x[:, 0] == 13.0, 0, 1))
+ENDS = either(on_plane, components_at(lambda x: x[:, 0] == 13.0, 0, 1))
 MOTION = r"nothing resists a motion that is not rigid, largest at \((4, 4|2, 4|4, 2)\)"
 #: Places of bricks, their cells, where they are held, how many are one; dimension and message.
 LOOSE = {
@@ -277,10 +286,12 @@ def test_supported_hinge_is_not_a_mechanism(
     monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", dense)
 
     def fixed(x):
-        return face(x)[:, None] | components(lambda x: np.all(x == 4.0, axis=1), 1)(x)
+        return face(x)[:, None] | components_at(lambda x: np.all(x == 4.0, axis=1), 1)(x)
 
     problem = torn_bricks([*HINGE, (4, 2)], (2, 2), fixed, 2)
-    solved(create_ksp(problem.A, feti_type=kind, feti_interior=interior, ksp_rtol=1e-11), problem)
+    solve_and_check(
+        create_ksp(problem.A, feti_type=kind, feti_interior=interior, ksp_rtol=1e-11), problem
+    )
 
 
 # ---- no false alarm -------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import scipy.sparse
 import scipy.sparse.linalg
 from cases import each, every_formulation
 from collective import COMM, agree, raises
-from hand_torn import aij, random_values, solve, solved, subdomains_of
+from hand_torn import aij, random_values, solve, solve_and_check, subdomains_of
 from modes import factors_of
 
 from dolfinx_feti.errors import FactorError, SetUpError
@@ -80,7 +80,7 @@ def test_set_up_succeeds_once_the_cause_is_gone(formulation, torn_grid, create_k
         agree(solve(ksp, problem, random_values(problem))[0] < 0)
         agree("MemoryError: Unable to allocate" in ksp.getPythonContext().message)
         agree(not ksp.getPythonContext().singular)
-    solved(ksp, problem, 1e-5)
+    solve_and_check(ksp, problem, 1e-5)
 
 
 def test_mumps_gets_more_work_space_if_it_is_short(torn_grid, create_dual, monkeypatch):

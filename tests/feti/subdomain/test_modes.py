@@ -11,7 +11,7 @@ import pytest
 import scipy.linalg
 from cases import each, every_interior, every_type
 from collective import COMM, agree, equal, small, whole
-from hand_torn import components, edge, face, nowhere, origin, random_values, softened, solve
+from hand_torn import components_at, edge, face, nowhere, origin, random_values, softened, solve
 from mixed import errors_of_solves
 from modes import factors_of, modes_of
 from walls import tube, wall
@@ -40,16 +40,16 @@ NODES = np.argwhere(np.ones((3, 3, 3))) * 1.0
 
 #: Where a brick is held, in which components, and how many rigid body modes are left.
 FIXED_DOFS = {
-    "nowhere": (components(nowhere), 6),
-    "one component of a vertex": (components(origin, 1), 5),
-    "two components of a vertex": (components(origin, 0, 2), 4),
-    "a vertex": (components(origin, 0, 1, 2), 3),
-    "one component along an edge": (components(edge, 0), 4),
-    "the axis of an edge": (components(edge, 2), 5),
-    "an edge": (components(edge, 0, 1, 2), 1),
-    "one component of a face": (components(face, 0), 3),
-    "two components of a face": (components(face, 0, 1), 1),
-    "a face": (components(face, 0, 1, 2), 0),
+    "nowhere": (components_at(nowhere), 6),
+    "one component of a vertex": (components_at(origin, 1), 5),
+    "two components of a vertex": (components_at(origin, 0, 2), 4),
+    "a vertex": (components_at(origin, 0, 1, 2), 3),
+    "one component along an edge": (components_at(edge, 0), 4),
+    "the axis of an edge": (components_at(edge, 2), 5),
+    "an edge": (components_at(edge, 0, 1, 2), 1),
+    "one component of a face": (components_at(face, 0), 3),
+    "two components of a face": (components_at(face, 0, 1), 1),
+    "a face": (components_at(face, 0, 1, 2), 0),
     "three faces, one component each": (lambda x: x == 0.0, 0),
     "all of it": (lambda x: np.full(x.shape, True), 0),
 }
@@ -103,7 +103,7 @@ def test_coinciding_modes_count_once():
 def test_kernel_does_not_depend_on_the_origin(shift):
     """Far from the origin rotations look like translations to one part in a million."""
     modes = hand_torn.kernel(NODES + shift, 3)
-    fixed = components(edge, 0, 1, 2)(NODES).ravel()
+    fixed = components_at(edge, 0, 1, 2)(NODES).ravel()
     R = rigid_modes(np.linalg.qr(modes)[0], fixed)
     _, K = hand_torn.brick(BRICK, 3)
     agree(R.shape[1] == 1, R.shape)
