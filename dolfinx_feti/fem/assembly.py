@@ -15,6 +15,7 @@ afterwards (``condensation``). Dirichlet conditions do not change K (``torn_matr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from petsc4py import PETSc
 
@@ -29,6 +30,7 @@ from dolfinx_feti.fem.decomposition import TornSpace
 from dolfinx_feti.fem.split_form import SplitForm, dolfinx_form, first_component
 from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.events import event
+from dolfinx_feti.runtime.native import pointer
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,24 @@ class LocalMatrix:
     mat: PETSc.Mat
     nodes: Indices
     offsets: Indices
+
+    def c_struct(self, module: Any) -> Any:
+        """Return a pointer to a ``CsrMatrix`` of ``csr_matrix.h``, valid as long as this object.
+
+        Args:
+            module: Loaded module that declares ``CsrMatrix``.
+        """
+        n_cells, nodes = self.nodes.shape
+        members = {
+            "cells": n_cells,
+            "nodes": nodes,
+            "bs": self.mat.getBlockSize(),
+            "cell_nodes": pointer(module, self.nodes),
+            "offsets": pointer(module, self.offsets),
+            "indptr": pointer(module, self.csr.indptr),
+            "values": pointer(module, self.csr.data),
+        }
+        return module.ffi.new("CsrMatrix *", members)
 
 
 def create_csr(spaces: tuple[TornSpace, TornSpace], compiler: Compiler) -> dolfinx.la.MatrixCSR:
@@ -115,7 +135,7 @@ def assemble(K: LocalMatrix, form: SplitForm) -> None:
     if form.dolfinx_part is not None:
         dolfinx.fem.assemble_matrix(K.csr, form.dolfinx_part)  # type: ignore[arg-type]
     for kernel in form.kernels:
-        kernel.add_to(K.csr.data, K.csr.indptr, K.nodes, K.offsets)  # type: ignore[arg-type]
+        kernel.add_to(K.c_struct(kernel.module))
     K.mat.stateIncrease()
 
 

@@ -67,6 +67,7 @@ def follower_pressure(p: float | Expr, u: Expr, v: Expr, ds: ufl.Measure) -> ufl
     Raises:
         ValueError: ``p`` is not finite.
     """
+    _check_pressure(p)
     if _is_zero(p):
         return ufl.Form([])
     return p * ufl.inner(_area_vector(u), v) * ds
@@ -104,11 +105,12 @@ def follower_pressure_tangent(
             whether the rim is clamped. A closed surface needs none.
 
     Raises:
-        ValueError: ``kind`` is none of these, or ``"auto"`` is not possible because ``bcs`` is
-            missing, u is no Function, or ds has no facets.
+        ValueError: ``p`` is not finite, ``kind`` is none of these, or ``"auto"`` is not possible
+            because ``bcs`` is missing, u is no Function, or ds has no facets.
     """
     if kind not in get_args(TangentKind):
         raise ValueError(f"kind = {kind!r}: choose 'auto', 'symmetric', 'full' or 'none'.")
+    _check_pressure(p)
     if kind == "none" or _is_zero(p):
         return ufl.Form([])
     if kind == "auto":
@@ -167,7 +169,8 @@ def pressure_potential(
         TypeError: ``axis`` is no sequence of numbers.
         ValueError: ``p`` is not finite, or ``axis`` has no length or another shape.
     """
-    volume = enclosed_volume(u, ds, axis)
+    _check_pressure(p)
+    volume = enclosed_volume(u, ds, axis)  # also for p = 0: it checks the axis
     if _is_zero(p):
         return ufl.Form([])
     return -p * volume
@@ -202,10 +205,7 @@ def _is_symmetric(u: Expr, ds: ufl.Measure, bcs: Sequence[dolfinx.fem.DirichletB
             "is free."
         )
     V = u.function_space
-    elements = (V.ufl_element(), V.mesh.ufl_domain().ufl_coordinate_element())
-    degree = max(element.embedded_superdegree for element in elements)
-    # integrates cof(F) N · v exactly on straight facets: a product of gdim fields of this degree
-    exact_ds = ds(metadata={"quadrature_degree": V.mesh.geometry.dim * degree})
+    exact_ds = _exact_measure(ds, V)
     w = trial_displacement(V, 0)
     du = trial_displacement(V, 1)
     for bc in bcs or ():
@@ -232,13 +232,28 @@ def _is_symmetric(u: Expr, ds: ufl.Measure, bcs: Sequence[dolfinx.fem.DirichletB
     return is_symmetric
 
 
+def _exact_measure(ds: ufl.Measure, V: dolfinx.fem.FunctionSpace) -> ufl.Measure:
+    """Return the measure of a surface with a degree that is exact for pressures on straight facets.
+
+    The integrand cof(F) N · v is a product of gdim fields with at most the degree of V or of the
+    geometry.
+    """
+    elements = (V.ufl_element(), V.mesh.ufl_domain().ufl_coordinate_element())
+    degree = max(element.embedded_superdegree for element in elements)
+    return ds(metadata={"quadrature_degree": V.mesh.geometry.dim * degree})
+
+
 def _is_zero(p: float | Expr) -> bool:
-    """Return True if p is the number zero, with which UFL drops the test function.
+    """Return True if p is the number zero, with which UFL drops the test function."""
+    return not isinstance(p, Expr) and p == 0
+
+
+def _check_pressure(p: float | Expr) -> None:
+    """Check a pressure.
 
     Raises:
         ValueError: p is a number that is not finite.
     """
     if isinstance(p, Expr):
-        return False
+        return
     require_within(-math.inf, math.inf, {"p": p}, remedy="a finite pressure or a UFL expression")
-    return p == 0

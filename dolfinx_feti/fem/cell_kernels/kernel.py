@@ -25,7 +25,7 @@ import numpy.typing as npt
 import dolfinx
 
 from dolfinx_feti.runtime import compat
-from dolfinx_feti.runtime.arrays import Array, Indices, Numbers
+from dolfinx_feti.runtime.arrays import Array, Indices
 from dolfinx_feti.runtime.native import load, pointer, processor_flags
 
 if TYPE_CHECKING:  # not at run time: it imports the private parts of FFCx
@@ -98,32 +98,14 @@ class Kernel:
         self._call("evaluate", self._pointers("double", results))
         return results
 
-    def add_to(self, values: Array, indptr: Numbers, nodes: Indices, offsets: Indices) -> None:
+    def add_to(self, matrix: Any) -> None:
         """Add the only form of the kernel, which is bilinear, to a matrix in compressed rows.
 
-        The arguments are the parts of ``assembly.LocalMatrix``. ``Condensation.condense`` fills the
-        same structure ``CsrMatrix``, of ``csr_matrix.h``.
-
         Args:
-            values: Entries of the matrix, (entries,); changed in place.
-            indptr: Start of each row in ``values``, (rows + 1,).
-            nodes: Nodes of each owned cell, (cells, k).
-            offsets: Offset of the columns of node j in each row of node i, (cells, k, k).
+            matrix: ``CsrMatrix`` of the kernel's module, see ``assembly.LocalMatrix.c_struct``; its
+                values are changed in place.
         """
-        (shape,) = self.program.shapes.values()
-        n_cells, k = nodes.shape
-        matrix = self.module.ffi.new(
-            "CsrMatrix *",
-            {
-                "cells": n_cells,
-                "nodes": k,
-                "bs": shape[0] // k,
-                "cell_nodes": pointer(self.module, nodes),
-                "offsets": pointer(self.module, offsets),
-                "indptr": pointer(self.module, indptr),
-                "values": pointer(self.module, values),
-            },
-        )
+        assert len(self.forms) == 1, "a kernel of one form"
         self._call("add_to_matrix", matrix)
 
     def _call(self, name: str, argument: object) -> None:

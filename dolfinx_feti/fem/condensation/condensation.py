@@ -325,23 +325,10 @@ class Condensation:
             matrices: What :meth:`assemble` returned at the state of K.
         """
         module = self._module
-        n_cells, nodes = self._nodes.shape
-        csr = module.ffi.new(
-            "CsrMatrix *",
-            {
-                "cells": n_cells,
-                "nodes": nodes,
-                "bs": self._bs,
-                "cell_nodes": pointer(module, self._nodes),
-                "offsets": pointer(module, K.offsets),
-                "indptr": pointer(module, K.csr.indptr),
-                "values": pointer(module, K.csr.data),
-            },
-        )
         n = self._numbering.entries.shape[1]
         K_up = pointer(module, matrices.K_up)
         slope = pointer(module, matrices.slope)
-        module.lib.subtract_products(csr, n, K_up, slope)
+        module.lib.subtract_products(K.c_struct(module), n, K_up, slope)
         K.mat.stateIncrease()
 
     def residual(self, matrices: CellMatrices, n_torn: int) -> Array:
