@@ -8,8 +8,8 @@ Two ways lead from an integral to numbers; ``split_form`` chooses between them:
 =====================  ==================================  =====================================
 way                    integrals                           result
 =====================  ==================================  =====================================
-``cell_kernels``       over cells, of nodal functions,     entries of eight cells at a time, by
-                       wherever possible                   one C program that reads forms as data
+``cell_kernels``       over cells, of functions with       entries of eight cells at a time, by
+                       scalar basis functions              one C program that reads forms as data
 dolfinx                all others                          entries by FFCx's code, a file for
                                                            each form
 =====================  ==================================  =====================================

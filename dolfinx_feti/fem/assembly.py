@@ -118,7 +118,7 @@ def _column_offsets(csr: dolfinx.la.MatrixCSR, nodes: Indices, bs: int) -> Indic
         bs: Rows of a node.
     """
     n = len(csr.indptr) - 1
-    # the first row of each node; values do not matter, so the column indices serve as values
+    # the first row of each node; SciPy needs values, which are not used: here the column indices
     rows = scipy.sparse.csr_array((csr.indices, csr.indices, csr.indptr), (n, n))[::bs]
     row_of_entry = np.repeat(np.arange(n // bs), np.diff(rows.indptr))
     sorted_entries = row_of_entry * n + rows.indices
@@ -130,7 +130,12 @@ def _column_offsets(csr: dolfinx.la.MatrixCSR, nodes: Indices, bs: int) -> Indic
 
 
 def assemble(K: LocalMatrix, form: SplitForm) -> None:
-    """Assemble a bilinear form on the torn space into a matrix, whose old entries are discarded."""
+    """Assemble a bilinear form into a local matrix, without communication.
+
+    Args:
+        K: Local matrix of the torn space; its entries are replaced.
+        form: Bilinear form on the torn space.
+    """
     K.csr.data[:] = 0.0
     if form.dolfinx_part is not None:
         dolfinx.fem.assemble_matrix(K.csr, form.dolfinx_part)  # type: ignore[arg-type]

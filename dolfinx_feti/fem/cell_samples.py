@@ -4,8 +4,8 @@
 r"""Smallest, mean and largest value of a scalar in each cell, at points inside the cell.
 
 The points are those of a quadrature, which define the mean
-:math:`\sum_q w_q f(ξ_q) / \sum_q w_q`, and two sets more, as a scalar may be negative between
-quadrature points:
+:math:`\sum_q w_q f(ξ_q) / \sum_q w_q`. A scalar that is positive there may be negative between
+them, so there are two further sets of points:
 
 - the midpoints of all entities of a cell: vertices, edges, faces, and the cell,
 - the nodes of a Lagrange element of the unknown's degree, if that is higher than two.
@@ -24,10 +24,10 @@ from ufl.core.expr import Expr
 from dolfinx_feti.fem.compiler import Compiler
 from dolfinx_feti.runtime.arrays import Array
 
-#: Share of their distance by which points are moved towards the midpoint of the cell. On the axis
-#: of an axisymmetric body u/r is 0/0. FFCx rounds basis functions to 0 within 1e-9: a product of
-#: two barycentric coordinates of this size, 1e-10, is lost, so that u/r has about five digits. At a
-#: larger distance u/r has more digits, but values change by a share of the distance.
+#: Share of their distance by which points are moved towards the midpoint of the cell, because on
+#: the axis of an axisymmetric body u/r is 0/0. Near the axis u/r has about five digits: FFCx rounds
+#: values of basis functions below 1e-9 to zero, among them products of two barycentric coordinates
+#: of this size. A larger shift gives u/r more digits, but other scalars change by about that share.
 INWARD_SHIFT = 1e-5
 
 #: Midpoints are the nodes of elements up to this degree.

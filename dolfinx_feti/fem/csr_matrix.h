@@ -3,6 +3,7 @@
 // SPDX-License-Identifier: LGPL-3.0-or-later
 
 // A matrix in compressed rows, and where the entries of cells are in it. A cell has `nodes` nodes, a node bs dofs.
+// Include <stdint.h> before: cffi reads this file, too, and takes no directives.
 typedef struct {
     int cells;
     int nodes; // of a cell

@@ -129,7 +129,7 @@ def decompose(
 
 @event("FETITear")
 def tear(V: dolfinx.fem.FunctionSpace, decomposition: Decomposition) -> TornSpace:
-    """Return the torn space of V, with a copy of its dofs for every subdomain.
+    """Return the torn space of V, with a copy of its dofs for every subdomain. No communication.
 
     Args:
         V: A scalar or blocked space.

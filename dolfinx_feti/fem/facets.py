@@ -8,13 +8,18 @@ r"""Surfaces inside a mesh, integrated from one side.
 couples only the dofs on Γ if u and v are continuous and no gradients occur. UFL's dS couples all
 dofs of the cells on both sides, whatever the integrand.
 
-An interior facet has two *sides*, one in each of its cells; a facet of the boundary has one. The
-choice of a side matters for normals, and for coefficients that jump across the surface, such as the
-material of each cell. It must not depend on the numbers of cells, which change with the number of
-processes. Either the user gives the cells on one side, or each connected surface is oriented as a
-whole. A facet has ridges: its edges, or its end points in 2D. A normal gives a ridge a direction,
-counter-clockwise around the facet. If two facets share a ridge, their normals point to the same
-side of the surface if they give the ridge opposite directions.
+An interior facet has two *sides*, one in each of its cells; a facet of the boundary has one. Its
+*first side* is the one in the first of the cells, ordered by process and by their numbers there.
+This order only names the two sides.
+
+The choice of a side to integrate from matters for normals, and for coefficients that jump across
+the surface, such as the material of each cell. It must not depend on the numbers of cells, which
+change with the number of processes. Either the user gives the cells on one side, or each connected
+surface is oriented as a whole. A facet has ridges: its edges, or its end points in 2D. A normal
+gives a ridge a direction, counter-clockwise around the facet. If two facets share a ridge, their
+normals point to the same side of the surface if they give the ridge opposite directions. The data
+of all sides are gathered on each process, which is meant for surfaces, not for all facets of a
+mesh.
 
 scifem's ``compute_interface_data`` solves another problem: it orders the two cells of interior
 facets by cell tags, for dS, and needs both cells on one process.
@@ -170,7 +175,8 @@ def _sides(mesh: dolfinx.mesh.Mesh, facets: Integers) -> FacetSides:
 
     Args:
         mesh: The mesh.
-        facets: Facets of this process; those of all processes count.
+        facets: Facets of this process. Facets that another process lists are included: their
+            numbers are gathered on all processes.
     """
     topology = mesh.topology
     tdim = topology.dim
@@ -291,9 +297,15 @@ def _uses_second_side(sides: SideGeometry, first: Numbers) -> Mask:
 def _is_integrated(label: Numbers, area: Array, midpoint: Array) -> Mask:
     """Return a mask of the sides of connected surfaces that are integrated from, (labels,).
 
-    A side has a mean normal, and a bulge: the mean of normal · (position − centre) over a length. A
-    curved surface bulges to its convex side; its inside is the side with a positive bulge. If the
-    bulge is smaller than the mean normal, the surface counts as plane, and the sign of the first
+    Each side of a surface has two numbers, both without unit:
+
+    - its mean normal, of length 1 for a plane and 0 for a closed surface,
+    - its bulge, the mean of normal · (position − centre), over the square root of the area. It is
+      0 for a plane. Normals that point away from the centre make it positive: the cells on this
+      side are inside.
+
+    If the bulge is larger than the mean normal, the surface counts as curved, and the side with the
+    positive bulge is integrated from. Otherwise it counts as plane, and the sign of the first
     component of the mean normal that is not zero decides.
 
     Args:

@@ -14,7 +14,7 @@ takes long for large forms:
 ``match_quadrature_degree``         gives an energy the degrees of its residual
 ``quadrature_degrees``              the degrees of several forms, which UFL analyses
 ``set_quadrature_degrees``          makes these degrees explicit
-``highest_estimate``                the highest of these degrees, without an analysis
+``highest_estimate``                the highest of these degrees that is not explicit in a form
 ``estimated_quadrature_degree``     the highest estimate in one form, which UFL analyses
 ==================================  ==================================================
 
@@ -123,11 +123,14 @@ def quadrature_degrees(*forms: ufl.Form) -> Degrees:
 
 
 def highest_estimate(degrees: Degrees, *forms: ufl.Form) -> int:
-    """Return the highest known degree of integrals without an explicit one, 0 without any.
+    """Return the highest degree that UFL estimated for integrals of forms, 0 without any.
+
+    Integrals with an explicit degree do not count. UFL does not analyse the forms again: the
+    estimates are looked up.
 
     Args:
-        degrees: Degrees by domain, see :func:`quadrature_degrees`.
-        forms: The forms, which are not analysed again.
+        degrees: Degrees by domain, from :func:`quadrature_degrees` of these forms.
+        forms: The forms.
     """
     highest = 0
     for form in forms:
@@ -214,7 +217,8 @@ def _degrees(form: ufl.Form) -> dict[tuple[str, object], int]:
     """Return the degree of the integrals over each domain, as FFCx chooses it.
 
     If some integrals over a domain have an explicit degree and others do not, the result is UFL's
-    estimate for the others. UFL analyses only these.
+    estimate for the others. UFL analyses only these. An integral with a quadrature rule of another
+    name and without a degree counts as degree 0.
     """
     degrees: dict[tuple[str, object], int] = {}
     without_degree = []

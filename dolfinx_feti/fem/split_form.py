@@ -6,7 +6,7 @@
 ======================================================  ==========================================
 integral                                                assembled by
 ======================================================  ==========================================
-over cells, all or with a number, of nodal functions    kernels of the package, ``cell_kernels``
+over cells, of functions with scalar basis functions    kernels of the package, ``cell_kernels``
 over cells, otherwise                                   FFCx's code in dolfinx's assemblers
 over exterior facets and vertices                       FFCx's code in dolfinx's assemblers
 over interior facets                                    a ValueError, as they couple subdomains

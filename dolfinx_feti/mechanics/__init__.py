@@ -8,7 +8,8 @@ Methods in Engineering 2014 (docs/references.md). Public names are imported from
 ``dolfinx_feti.kinematics``, ``.materials``, ``.loads`` and ``.supports``.
 
 - ``trial_displacements`` has the numerical test of symmetry for loads.
-- All others write energies and forms in UFL.
+- All others write energies and forms in UFL. ``supports`` also finds dashpots among the
+  Constants of forms.
 
 In the order of the data: kinematics, residual_stress, materials, memory, trial_displacements,
 loads, supports.

@@ -60,8 +60,9 @@ __all__ = [
 Parameter: TypeAlias = float | Expr
 
 #: Strain E = Ī₄ − 1 of a fibre family above which it contributes. At u = 0 every E is zero up to
-#: rounding. A bound slightly below zero includes all fibres in the tangent there, not those of a
-#: random half of the cells. The jump of Ψ at the bound is 1e-24 k₁.
+#: rounding. With a bound of zero, the tangent there would contain the fibres of some cells only, by
+#: the sign of rounding errors. With a bound slightly below zero it contains all of them. The jump
+#: of Ψ at the bound is 1e-24 k₁.
 MIN_FIBRE_STRAIN = -1e-12
 
 
@@ -256,9 +257,9 @@ def holzapfel_ogden(
     Ψ̄ = a/(2b) {exp[b (Ī₁ − 3)] − 1} + Σ_{i=f,s} a_i/(2b_i) {exp[b_i (Ī_4i − 1)²] − 1}
     + a_fs/(2b_fs) {exp[b_fs Ī_8fs²] − 1} with Ī_4f = f·C̄ f, Ī_4s = s·C̄ s, Ī_8fs = f·C̄ s, where
     fibres and sheets contribute only in tension, Ī_4i > 1. Source: Holzapfel, Ogden, Phil. Trans.
-    R. Soc. A 367 (2009) 3445-3475. Its a and b are parameters, not directions. There shear tests on
-    a pig's myocardium give a, a_f, a_s, a_fs = 0.059, 18.472, 2.481, 0.216 kPa and b, b_f, b_s,
-    b_fs = 8.023, 16.026, 11.120, 11.436.
+    R. Soc. A 367 (2009) 3445-3475, where a fit to shear tests on a pig's myocardium gives a, a_f,
+    a_s, a_fs = 0.059, 18.472, 2.481, 0.216 kPa and b, b_f, b_s, b_fs = 8.023, 16.026, 11.120,
+    11.436. Here a and b are parameters, not directions.
 
     Args:
         C: Right Cauchy–Green tensor, (d, d).

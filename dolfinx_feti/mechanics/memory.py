@@ -69,7 +69,8 @@ def viscoelastic(
         The energy, and the updates of S_n and of all Q.
 
     Raises:
-        ValueError: ``dt`` is a number that is not positive.
+        ValueError: ``dt`` is a number that is not positive. (:class:`MaxwellBranch` checks the
+            numbers of a branch.)
     """
     require_positive(dt=dt)
     S = ufl.inv(F) * ufl.diff(psi, F)  # S = F⁻¹ ∂Ψ̄/∂F

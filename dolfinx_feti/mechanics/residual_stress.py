@@ -99,6 +99,12 @@ def residual_stretch(
             stretch is NaN.
         angle: Opening angle α of the whole ring [degrees], below 360.
         stretch: Axial prestretch Λ [-], positive.
+
+    Returns:
+        The stretch from the stress-free sector to the ring, a scalar in UFL.
+
+    Raises:
+        ValueError: A number is out of its range.
     """
     require_finite(curvature=curvature)
     check_opening(angle, stretch)

@@ -4,7 +4,7 @@
 """Springs and dashpots on a surface, for the tissue around a vessel, as energies in UFL.
 
 The tissue around a wall exerts the traction −k w − η ẇ per reference area, where w is the
-displacement u or its part along the normal N of the reference surface, w = (u·N) N. In a time step
+displacement u or its part along the outward normal N of the body, w = (u·N) N. In a time step
 Δt from the last displacement u⁰ to u, by the implicit Euler method, ẇ = (w − w⁰)/Δt, and both
 tractions have a potential::
 
@@ -14,6 +14,10 @@ Add them to the internal energy. Source: P. Moireau et al., Biomech. Model. Mech
 Units: k in kPa/mm, η in kPa s/mm, Δt in s, lengths in mm, per reference area. The direction is
 ``"normal"``, w = (u·N) N, or ``"all"``, w = u. Any other direction raises a ValueError, as does a
 number that is negative or not finite.
+
+Springs push and pull, and have no gap; ``dolfinx_feti.contact`` is for rigid tools that only push.
+A new support is a function here, and its name in ``__all__``. For cases in TOML it is also a class
+in ``wall.conditions.supports``, which ``wall.conditions.registry`` lists.
 """
 
 from __future__ import annotations
@@ -47,7 +51,8 @@ class DashpotFactor(dolfinx.fem.Constant):
 
     ``follow_load`` and ``follow_time`` advance the last displacement of all dashpots of a problem.
     A form of UFL has no place for such data, except in its constants: :func:`dashpots_in` returns
-    the factors among the constants of forms.
+    the factors among the constants of forms. A dashpot that is written in UFL without this factor,
+    or in which ``ufl.replace`` has replaced it, resists the motion, but no path advances u⁰.
 
     Attributes:
         u: Displacement, shape (d,).
@@ -64,7 +69,7 @@ class DashpotFactor(dolfinx.fem.Constant):
 
 
 def dashpots_in(constants: Iterable[dolfinx.fem.Constant]) -> list[DashpotFactor]:
-    """Return the dashpots of forms, by the Constants in these."""
+    """Return the factors of dashpots among the Constants of forms."""
     return [constant for constant in constants if isinstance(constant, DashpotFactor)]
 
 
@@ -132,7 +137,7 @@ def check_direction(direction: str) -> None:
 
 
 def _square(u: Expr, direction: Direction) -> Expr:
-    """Return w·w of the resisted part w of a displacement.
+    """Return w·w of the resisted part w of a displacement, or of a difference of displacements.
 
     Raises:
         ValueError: The direction is unknown.

@@ -59,10 +59,13 @@ class CellKernels:
 
 @dataclass(frozen=True, slots=True)
 class _Generated:
-    """The programs of some forms on this process.
+    """The programs of some forms on this process, or why there are none.
+
+    One of three holds: there are programs; or there are none and no error, because only FFCx can
+    compile these forms; or there are none and an error, because FFCx lacks private parts.
 
     Attributes:
-        programs: The programs; None if only FFCx can compile the forms.
+        programs: The programs, or None.
         ffcx_error: The error if FFCx lacks private parts that are used, else empty.
     """
 

@@ -36,8 +36,8 @@ static inline void gather(const Program *program, int f, const int64_t *cell, V 
     }
 }
 
-// K ← J⁻¹ by cofactors; returns det J. In one or two dimensions J is padded to 3 × 3 by ones on the diagonal, which do
-// not change its determinant.
+// K ← J⁻¹ by cofactors; returns det J, with J = ∂x/∂ξ in a cell. In one or two dimensions J is padded to 3 × 3 by ones
+// on the diagonal, which do not change its determinant.
 static inline V inverse(const V J[3][3], V K[3][3])
 {
     UNROLL for (int i = 0; i < 3; ++i)
@@ -132,8 +132,8 @@ typedef struct {
 
 enum { CONTRACTION_INTS = sizeof(Contraction) / sizeof(int) };
 
-// Return 1 if the two components of a symmetric form are one, else 0. A form without symmetry has mirrored = −1, and
-// first is not negative: then it is 0.
+// Return 1 if a form is symmetric and both components are one, so that the pair is its own mirror image; else 0.
+// Without symmetry, mirrored is −1, which no first entry is.
 static inline int is_diagonal(const Contraction *pair)
 {
     return pair->mirrored == pair->first;
@@ -173,9 +173,9 @@ static inline __attribute__((always_inline)) void multiply(int rows, int columns
             s[a][b] = sum[a][b];
 }
 
-// T_t[a] ← Σ_s A_st ∂_s φ_a for each derivative t of columns and node a of rows. p is at the first number of pairs, after
-// the derivatives of columns; returns the position after the pairs, where the next contraction begins. Offsets of factors
-// are in bytes, as those of registers on the tape; all others are in vectors.
+// T_t[a] ← Σ_s A_st ∂_s φ_a for each derivative t of columns and node a of rows. For each t, p has the number of pairs
+// and the pairs: s[0] is the derivative s, s[1] the offset of A_st. Returns the position after the last pair, where the
+// next contraction begins. Offsets of factors are in bytes, as those of registers on the tape; others are in vectors.
 static const int *multiply_rows(const Program *program, const Contraction *pair, const int *p, V *R)
 {
     const int nodes = program->nodes[pair->row_element];
@@ -198,8 +198,8 @@ static const int *multiply_rows(const Program *program, const Contraction *pair,
     return p;
 }
 
-// Add a tile s of rows from a on and columns from b to end to the entries, and to the mirrored ones of a symmetric form.
-// If both components are one, only the entries on and above the diagonal are used.
+// Add a tile s, of rows from a on and columns from b up to end, to the entries, and to the mirrored ones of a symmetric
+// form. If both components are one, only the entries on and above the diagonal are used.
 static inline void add_tile(const Contraction *pair, int a, int rows, int b, int end, const V s[ROWS][COLUMNS],
                             V *entries)
 {

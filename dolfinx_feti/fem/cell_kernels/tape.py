@@ -7,7 +7,8 @@ A new material is new data: no C compiler is called. Each value is computed once
 :math:`\sum_k ± a_k b_k + \sum_k ± c_k` is one instruction.
 
 *References.* A value has an index v ≥ 1 on the tape. The reference v means the value, −v its
-negative, so no instruction negates.
+negative, so no instruction negates. In this file, arguments a, b and results of the methods of
+``Tape`` are references; a ``Value`` is the instruction that computes a value.
 
 *Equal values.* Each value has a key: its value at a random point of a finite field (J. T. Schwartz,
 J. ACM 27, 1980). Keys of sums and products are computed in the field. Any other function has a

@@ -9,9 +9,9 @@ import numpy as np
 
 from dolfinx_feti.runtime.arrays import Array
 
-#: Size of a pivot of a matrix (n, n), scaled to entries of at most one, below which the pivot is
-#: rounding, over n. Rounding leaves some ε in place of a zero pivot; 16 is a margin for the growth
-#: of errors in the elimination.
+#: In a matrix (n, n), scaled to entries of at most one, a pivot below n times this bound counts as
+#: zero. Rounding leaves some ε in place of a zero pivot; 16 is a margin for the growth of errors in
+#: the elimination.
 PIVOT_RTOL = 16 * np.finfo(np.float64).eps
 
 

@@ -35,7 +35,7 @@ class CellwiseForms:
 
         Args:
             forms: Linear and bilinear forms. A form that is zero has to contain its arguments, as
-                that of a ``BlockForm`` does.
+                a zero block of ``mixed_tangent`` does: they determine the shape of the result.
             mesh: Their mesh.
             compiler: Compiler of the problem.
 

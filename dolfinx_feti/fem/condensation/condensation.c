@@ -13,6 +13,7 @@ static void add_multiple(int n, double alpha, const double *x, double *y)
         y[i] += alpha * x[i];
 }
 
+// In the loops, node and offset point to those of the cell, K_up to the row of its matrix, slope to its matrix.
 void subtract_products(const CsrMatrix *K, int n, const double *K_up, const double *slope)
 {
     const int nodes = K->nodes;
@@ -26,7 +27,7 @@ void subtract_products(const CsrMatrix *K, int n, const double *K_up, const doub
             for (int r = 0; r < bs; ++r) {
                 double *const row = K->values + K->indptr[(int64_t)node[i] * bs + r];
                 for (int q = 0; q < d; ++q)
-                    product[q] = K_up[0] * slope[q]; // the first dof of the fields sets the row; the others add to it
+                    product[q] = K_up[0] * slope[q]; // dof 0 of the fields; the loop adds those of dofs 1 to n − 1
                 for (int s = 1; s < n; ++s)
                     add_multiple(d, K_up[s], slope + s * d, product);
                 for (int j = 0; j < nodes; ++j)

@@ -94,9 +94,10 @@ class ConstraintProducts:
 
     The equation of the field is c g(u), such as c (J − 1). K_up is the force of the field, the
     derivative of g(u), so that K_pu = c K_upᵀ. Summed over all processes, the products determine
-    c = mixed / square. ``stiffness`` is the trace of what condensation adds to K; it is compared
-    with the trace of the tangent to choose a modulus κ. M is −K_pp of the field. For a pressure in
-    kPa the units are:
+    c = mixed / square. ``stiffness`` is the trace of what condensation of this field alone adds to
+    K; it is compared with the trace of the tangent to choose a modulus κ. M is −K_pp of the field,
+    without blocks that couple it with other fields: its equation contains none of them. For a
+    pressure in kPa the units are:
 
     Attributes:
         mixed: K_upᵀ : K_pu [mm⁴].
@@ -141,9 +142,9 @@ class Condensation:
             compiler: Compiler of the forms.
             tangent: Blocks of the tangent in u and the fields, (1 + fields, 1 + fields), None for
                 a zero block. If no tangent is given, it is derived from the residuals.
-            compression: Term of each field's residual in which a multiplier replaces the field, or
-                None for a field without one. The term is linear in the field. See
-                :meth:`set_multipliers`.
+            compression: The term −γ p q that ``problems.unknowns.compression`` added to the
+                residual of each incompressible field p, and None for the other fields. Multipliers
+                replace p in these terms only, see :meth:`set_multipliers`.
 
         Raises:
             ValueError: A field is in no residual, the residuals do not determine it, or they couple
@@ -248,9 +249,10 @@ class Condensation:
     def set_multipliers(self, values: Array) -> float:
         """Set the multipliers λ, and return by how much they change the volume of a cell.
 
-        From now on the residual of the fields is r_p(u, p) − r_p(0, λ). With ``compression``, these
-        terms of the residual at λ take the place of r_p(0, λ). If p solves its equation with the
-        old λ, the change of r_p(0, λ) to λ = p is the constraint g(u), J − 1 for example.
+        From now on the residual of the fields is r_p(u, p) − r_p(0, λ). If the problem has
+        compression terms, r_p(0, λ) consists of these terms alone, evaluated at λ. If p solves its
+        equation with the old λ, then with λ = p as the new one r_p(0, λ) changes by −g(u), the
+        constraint, such as J − 1.
 
         Args:
             values: λ, (size,), as in :meth:`values`.

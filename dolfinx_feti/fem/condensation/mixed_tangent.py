@@ -135,7 +135,7 @@ def tangent_of_user(
 
 
 def block_of_user(form: ufl.Form | None, *spaces: dolfinx.fem.FunctionSpace) -> BlockForm:
-    """Return the block of a user's form, or a zero block if that is None or empty.
+    """Return a form that the user gave as a block; a zero block if it is None or empty.
 
     Args:
         form: The form.

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What multipliers λ add to the equations of condensed fields, and by how much it changes."""
+"""The residual of multipliers λ in the equations of condensed fields, and its largest change."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ _GRADIENTS = (classes.Grad, classes.NablaGrad)
 #: Parts of expressions that are no tensors, whose ``ufl_shape`` raises.
 _WITHOUT_SHAPE = (classes.MultiIndex, classes.Label, classes.ExprList, classes.ExprMapping)
 
-#: Operators whose operand is a regular tensor.
+#: Operators whose operand is a regular (invertible) tensor in every admissible state.
 _NEED_REGULAR = (classes.Determinant, classes.Inverse, classes.Cofactor)
 
 

@@ -68,7 +68,7 @@ class ForgottenPressure:
 
     @property
     def fields(self) -> list[Function]:
-        """The fields to condense: θ, if there is one, then p, as in the documentation."""
+        """The fields to condense: θ, if there is one, then p."""
         return [self.p] if self.dilation is None else [self.dilation, self.p]
 
 

@@ -4,8 +4,9 @@
 r"""Relations between tensors in UFL, checked at random values of all fields.
 
 A field :math:`f(x) = a\,(b·x)` has the gradient :math:`a ⊗ b`. With one direction b for all fields,
-a tensor that is linear in gradients has the form :math:`q ⊗ b` if and only if it is a gradient
-itself; an identity that holds for random a and b holds for all fields.
+every gradient has the form :math:`q ⊗ b`. A tensor that is linear in gradients and no gradient
+itself has another form, except for special a and b, which are drawn with probability zero. In the
+same way, an identity that holds for random a and b holds for all fields.
 """
 
 from __future__ import annotations
@@ -52,9 +53,9 @@ class RandomFields:
         Args:
             u: The unknown.
             seed: Seed of the random numbers.
-            is_present: True to evaluate derivatives in the present state, see :meth:`factor`:
-                Constants have their present values, and u is zero at the point, though its gradient
-                is not. False for relations that hold in all states: Constants are random, too.
+            is_present: True for :meth:`factor`, which is evaluated at u = 0: u is zero at the
+                point, while its gradient is random, and Constants have their present values. False
+                for relations that hold in all states: u and Constants are random, too.
         """
         self._u = u
         self._is_present = is_present
@@ -185,7 +186,11 @@ class RandomFields:
         return value
 
     def _field(self, f: Expr, scale: float) -> object:
-        """Return the value of a terminal for UFL's evaluation; None if UFL has a value."""
+        """Return the value of a terminal for UFL's evaluation.
+
+        It is a function of the point and of the numbers of derivatives for a field, an array for a
+        Constant, and None for a terminal that has a value in UFL, such as a number.
+        """
         if isinstance(f, classes.Coefficient):
             a = self._amplitude(f)
             is_zero_here = False
