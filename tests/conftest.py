@@ -244,7 +244,8 @@ def create_dual(
 
     def create(A: PETSc.Mat, **options: object) -> DualFormulation:
         read = read_pattern(A, **options)
-        return create_dual_formulation(read, set_up(read, lifetime, lifetime), lifetime)
+        setup = set_up(read, matrix_objects=lifetime, preconditioner_objects=lifetime)
+        return create_dual_formulation(read, setup, lifetime)
 
     return create
 

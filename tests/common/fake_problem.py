@@ -25,8 +25,13 @@ from dolfinx_feti.loading.load_steps import follow_load
 from dolfinx_feti.loading.steps import Steps
 from dolfinx_feti.problems.history import NewtonStep
 
+#: Difference of two equal states that rounding allows.
 ROUNDING = 1e-12
+
+#: The problem's own tolerances, of Newton's method and of linear solves.
 OWN = 1e-9
+
+#: What the history has for each Newton step.
 STEP = NewtonStep(1.0, 1.0, "cg", 7, 1e-9, 3.0, 0, 0, 0.0, 1, 0.1, 0.2)
 
 State = tuple[float, float, float]  # load, u, p
@@ -115,12 +120,14 @@ class FakeProblem:
         return norm
 
     def update_internal_variables(self, which: str = "all") -> None:
-        pass
+        """Do nothing: there are no internal variables."""
 
     def begin_step(self, length: float) -> None:
+        """Assert that a step has a length."""
         agree(length != 0.0)
 
     def renew(self) -> None:
+        """Record that the preconditioner is to be set up at the next solve."""
         self._renewed = True
 
     def warn_of_cells(self) -> None:
@@ -135,12 +142,13 @@ class FakeProblem:
         give_up_early=False,
         check_cells=True,
     ) -> None:
+        """Record the attempt, and set u and p to the equilibrium, or to NaN and raise."""
         agree(not check_cells, "a path looks at the cells in accepted states alone")
         renewed = renew or self._renewed
         self._renewed = False
         before = self._equilibrium
-        domain = first_tangent is None and self._inside_out(self.load)
-        fails = domain or self._fails(before, self.load)
+        is_inadmissible = first_tangent is None and self._inside_out(self.load)
+        fails = is_inadmissible or self._fails(before, self.load)
         rtol, linear_rtol = (s.getTolerances()[0] for s in (self.solver, self.solver.getKSP()))
         referred = self._norms.get(reference)
         self.attempts.append(
@@ -162,7 +170,7 @@ class FakeProblem:
         self.history = [STEP] * cost
         if fails:
             self._set(math.nan, math.inf)
-            error = InadmissibleStartError if domain else ConvergenceError
+            error = InadmissibleStartError if is_inadmissible else ConvergenceError
             raise error("The spring broke.")
         self._equilibrium = self.load
         self._set(*truth(self.load))

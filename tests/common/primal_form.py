@@ -58,7 +58,7 @@ def create(
         further_columns: Returns further columns of the coarse space for each subdomain,
             (n_{Γ,i}, k) each; it has E alone if not given.
     """
-    setup = set_up(pattern, within, within)
+    setup = set_up(pattern, matrix_objects=within, preconditioner_objects=within)
     S = setup.operator
     copies = within.own(Copies(pattern.torn, S.interfaces, setup.delta, pattern.errors))
     U = [K_i.E_on_interface for K_i in setup.inverse.by_subdomain]

@@ -38,19 +38,19 @@ class Monitor:
 
     Attributes:
         calls: How often it was called.
-        most: The most cycles that were alive when it was called.
+        max_alive: The most cycles that were alive when it was called.
         fails_at: The call in which it raises; None for none.
     """
 
     def __init__(self, fails_at: int | None = None) -> None:
         self.calls = 0
-        self.most = 0
+        self.max_alive = 0
         self.fails_at = fails_at
         self._alive: weakref.WeakSet[Node] = weakref.WeakSet()
 
     def __call__(self, solver: object, its: int, norm: float) -> None:
         self.calls += 1
-        self.most = max(self.most, len(self._alive))
+        self.max_alive = max(self.max_alive, len(self._alive))
         for _ in range(CYCLES):
             self._alive.add(Node())
         if self.calls == self.fails_at:
@@ -116,8 +116,8 @@ def test_garbage_is_collected_during_a_solve(create):
     create(monitor)()
     agree(monitor.calls > MAX_CALLS_ALIVE, f"{monitor.calls} calls show nothing")
     agree(
-        monitor.most <= MAX_CALLS_ALIVE * CYCLES,
-        f"{monitor.most} of {monitor.calls * CYCLES} cycles were alive at a time",
+        monitor.max_alive <= MAX_CALLS_ALIVE * CYCLES,
+        f"{monitor.max_alive} of {monitor.calls * CYCLES} cycles were alive at a time",
     )
     assert gc.isenabled()
 
@@ -140,7 +140,7 @@ def test_disabled_collector_stays_disabled(create):
     monitor = Monitor()
     create(monitor)()
     agree(
-        monitor.most == (monitor.calls - 1) * CYCLES,
-        f"{monitor.most} of {(monitor.calls - 1) * CYCLES} cycles were alive",
+        monitor.max_alive == (monitor.calls - 1) * CYCLES,
+        f"{monitor.max_alive} of {(monitor.calls - 1) * CYCLES} cycles were alive",
     )
     assert not gc.isenabled()

@@ -60,17 +60,19 @@ class Subdomains:
             threshold=threshold,
         )
 
-    def cost(self, i):
-        """Return δ T_i A T_iᵀ δ, (n_{Γ,i}, n_{Γ,i})."""
+    def average_energy(self, i):
+        """Return δ T_i A T_iᵀ δ, the energy of averages, (n_{Γ,i}, n_{Γ,i})."""
         δ = self.copies.delta[self.copies.rows[i]]
         return δ[:, None] * self.A[i] * δ
 
-    def costs(self, i, U=None):
+    def eigenvalues(self, i, U=None):
         """Return the eigenvalues χ of fields u with Eᵀ S_ρ u = 0 and, with a U, Uᵀ S_ρ u = 0."""
         u = np.linalg.solve(self.S_ρ[i], scipy.linalg.null_space(self.E[i].T))
         if U is not None:
             u = u @ scipy.linalg.null_space(U.T @ self.S_ρ[i] @ u)
-        return scipy.linalg.eigh(u.T @ self.cost(i) @ u, u.T @ self.S_ρ[i] @ u, eigvals_only=True)
+        return scipy.linalg.eigh(
+            u.T @ self.average_energy(i) @ u, u.T @ self.S_ρ[i] @ u, eigvals_only=True
+        )
 
 
 @pytest.mark.parametrize("threshold", [0.1, 1.0, 4.0])
@@ -81,21 +83,21 @@ def test_all_eigenvectors_above_the_threshold_are_found(threshold, monkeypatch):
     monkeypatch.setattr(f"{ADAPTIVE}.MIN_STEPS", 6)
     monkeypatch.setattr(f"{ADAPTIVE}.MAX_STEPS", 6)
     for i, U in enumerate(body.columns(30, threshold)):
-        χ = body.costs(i)
+        χ = body.eigenvalues(i)
         agree(U.shape[1] == np.count_nonzero(χ > threshold))
         equal(U.T @ body.S_ρ[i] @ U, np.eye(U.shape[1]), 1e-8)
-        equal(np.diag(U.T @ body.cost(i) @ U), χ[χ > threshold][::-1], 1e-6)
+        equal(np.diag(U.T @ body.average_energy(i) @ U), χ[χ > threshold][::-1], 1e-6)
         small(np.abs(body.E[i].T @ body.S_ρ[i] @ U).max(initial=0.0), 1e-8)
-        agree(body.costs(i, U).max() <= threshold * (1.0 + 1e-8))
+        agree(body.eigenvalues(i, U).max() <= threshold * (1.0 + 1e-8))
 
 
 def test_limited_columns_approximate_the_largest_eigenvalues():
     """A search with a tenth of the interface dofs comes close to them."""
     body = Subdomains(INTERFACE_DOFS_FOR_ALL_COLUMNS // 2)
     (U,) = body.columns(60, 0.1)
-    χ = body.costs(0)[::-1]
+    χ = body.eigenvalues(0)[::-1]
     agree(0 < U.shape[1] <= 30)
-    ritz_values = np.diag(U.T @ body.cost(0) @ U)
+    ritz_values = np.diag(U.T @ body.average_energy(0) @ U)
     agree(np.all(np.diff(ritz_values) <= 1e-8))
     agree(np.all(ritz_values <= χ[: len(ritz_values)] * (1.0 + 1e-8)))
     agree(ritz_values[:4].sum() >= 0.8 * χ[:4].sum())

@@ -278,12 +278,14 @@ def test_every_formulation_refuses_loose_bodies_and_mechanisms(
 
 @every_type
 @every_interior
-@pytest.mark.parametrize("dense", [1000, 5], ids=["all-vectors", "inverse-iteration"])
+@pytest.mark.parametrize("max_dofs_for_svd", [1000, 5], ids=["all-vectors", "inverse-iteration"])
 def test_supported_hinge_is_not_a_mechanism(
-    dense, kind, interior, torn_bricks, create_ksp, monkeypatch
+    max_dofs_for_svd, kind, interior, torn_bricks, create_ksp, monkeypatch
 ):
     """The hinge in one subdomain is a null vector beyond the rigid ones, and joins them."""
-    monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", dense)
+    monkeypatch.setattr(
+        "dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", max_dofs_for_svd
+    )
 
     def fixed(x):
         return face(x)[:, None] | components_at(lambda x: np.all(x == 4.0, axis=1), 1)(x)

@@ -192,7 +192,7 @@ def test_zero_pivot_in_a_solve_starts_the_search_for_null_vectors(
     agree(all(modes_of_all.is_exact) and bool(asked) == bool(modes_of_all.is_exact))
 
 
-@pytest.mark.parametrize("tie_stiffness", [0.0, 1e9], ids=["even", "tie_stiffness"])
+@pytest.mark.parametrize("tie_stiffness", [0.0, 1e9], ids=["even", "stiff-tie"])
 def test_single_precision_factors_are_used_for_preconditioning_only(
     tie_stiffness, torn_grid, read_pattern, lifetime
 ):

@@ -186,10 +186,12 @@ class DenseMatrix:
         return SimpleNamespace(solve=lambda X, transpose: inverse @ X, destroy=lambda: None)
 
 
-@pytest.mark.parametrize("dense", [100, 5], ids=["all-vectors", "inverse-iteration"])
-def test_null_vectors_are_those_of_the_scaled_matrix(dense, monkeypatch):
+@pytest.mark.parametrize("max_dofs_for_svd", [100, 5], ids=["all-vectors", "inverse-iteration"])
+def test_null_vectors_are_those_of_the_scaled_matrix(max_dofs_for_svd, monkeypatch):
     """The factor is that of the matrix before its rows were scaled to a unit diagonal."""
-    monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", dense)
+    monkeypatch.setattr(
+        "dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", max_dofs_for_svd
+    )
     rng = np.random.default_rng(SEED)
     n = 60
     Q = np.linalg.qr(rng.standard_normal((n, n)))[0]

@@ -280,7 +280,9 @@ def test_unsymmetric_matrices_are_factored_with_pivots(
 
 # ---- null vectors of random matrices --------------------------------------------------------
 
-every_size = pytest.mark.parametrize("dense", [1000, 10], ids=["all-vectors", "inverse-iteration"])
+every_size = pytest.mark.parametrize(
+    "max_dofs_for_svd", [1000, 10], ids=["all-vectors", "inverse-iteration"]
+)
 every_kind = pytest.mark.parametrize("kind", ["pivots", "fronts", "dense"])
 
 
@@ -327,10 +329,12 @@ def null_vectors(factor_block):
 @pytest.mark.parametrize("spread", [0.0, 3.0])
 @pytest.mark.parametrize(("known", "unknown"), [(0, 0), (3, 0), (0, 2), (3, 3), (1, 14)])
 def test_null_vectors_complete_the_null_space(
-    dense, kind, spread, known, unknown, null_vectors, monkeypatch
+    max_dofs_for_svd, kind, spread, known, unknown, null_vectors, monkeypatch
 ):
     """With the known ones they span the null space, for any scales of the rows."""
-    monkeypatch.setattr("dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", dense)
+    monkeypatch.setattr(
+        "dolfinx_feti.feti.subdomain.null_vectors.MAX_DOFS_FOR_SVD", max_dofs_for_svd
+    )
     K, null = singular(50, known + unknown, spread)
     R = np.linalg.qr(null[:, :known])[0]
     Y, is_singular = null_vectors(K, kind, R)
