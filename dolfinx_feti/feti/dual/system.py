@@ -150,7 +150,7 @@ class DualSystem:
         r = d - self.multiply(start)  # r = d − F λ₀ + G s₀
         if self.has_exact_kernel:
             r, w = self.project(r)
-            start = DualUnknowns(start.lam, start.s + w)
+            start = DualUnknowns(start.lam, start.s - w)  # s₀ ← s₀ − w has the jump r − G w
         return start, r
 
     # -- constraint preconditioner ----------------------------------------------------------------

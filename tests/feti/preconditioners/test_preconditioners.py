@@ -143,6 +143,21 @@ def test_dual_operator_agrees_with_its_definition(
 @every_grid
 @every_q
 @every_change
+def test_start_has_the_jump_that_it_returns(grid, q, change, torn_grid, create_dual):
+    """The jump is d − F λ₀ + G s₀, also if D = 0, where s₀ has the smallest jump."""
+    problem = torn_grid(change=change, **grid)
+    dual = create_dual(problem.A, coarse_q=q).system
+    torn = dual.preconditioner.operator.torn
+    f = np.where(torn.is_dirichlet_copy, 0.0, random_part(torn.n))
+    c = np.zeros(dual.m)
+    start, r = dual.start(f, c)
+    d = dual.B @ dual.inverse.solve(f) - c
+    equal(whole(r), whole(d - dual.multiply(start)), 1e-10)
+
+
+@every_grid
+@every_q
+@every_change
 @pytest.mark.parametrize("pc_type", ["dirichlet", "identity"])
 def test_constraint_preconditioner_agrees_with_its_definition(
     grid, q, change, pc_type, torn_grid, create_dual, lifetime
