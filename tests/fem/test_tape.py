@@ -26,21 +26,21 @@ Expr = ufl.core.expr.Expr
 def test_order_and_sign_make_no_other_value():
     """A b + c = c + b a; −(a − b) = b − a; a (−b) c = −(c a) b."""
     tape = Tape()
-    a, b, c = (tape.value("constant", integers=[i]) for i in range(3))
+    a, b, c = (tape.apply("constant", integers=[i]) for i in range(3))
     agree(tape.add(tape.multiply(a, b), c) == tape.add(c, tape.multiply(b, a)))
     agree(-tape.add(a, -b) == tape.add(b, -a))
     agree(tape.multiply(tape.multiply(a, -b), c) == -tape.multiply(tape.multiply(c, a), b))
     agree(tape.add(tape.add(a, b), c) == tape.add(tape.add(c, a), b))
     agree(tape.add(a, b) != tape.add(a, -b))
     agree(tape.multiply(tape.number(-1.0), a) == -a)
-    mask = tape.value("lt", a, b)
+    mask = tape.apply("lt", a, b)
     agree(tape.choose(mask, -c, tape.number(0.0)) == -tape.choose(mask, c, tape.number(0.0)))
 
 
 def test_numbers_are_values_of_their_own():
     """Powers of two, of either sign, and their products with others."""
     tape = Tape()
-    a = tape.value("constant", integers=[0])
+    a = tape.apply("constant", integers=[0])
     values = {e: tape.number(2.0**e) for e in range(-1074, 1024)}
     agree(len({abs(value) for value in values.values()}) == len(values))
     agree(all(tape.literals[value] == 2.0**e for e, value in values.items()))

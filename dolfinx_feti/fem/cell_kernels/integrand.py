@@ -208,19 +208,19 @@ class PointIntegrands:
             case "conditional":
                 return tape.choose(*operands)
             case "max_value":
-                first_is_larger = tape.value("gt", *operands)
+                first_is_larger = tape.apply("gt", *operands)
                 return tape.choose(first_is_larger, *operands)
             case "min_value":
-                first_is_smaller = tape.value("lt", *operands)
+                first_is_smaller = tape.apply("lt", *operands)
                 return tape.choose(first_is_smaller, *operands)
             case "power":
                 return self._power(operands[0], operands[1], node.ufl_operands[1])
             case "ln":
-                return tape.value("function", *operands, integers=[FUNCTIONS.index("log")])
+                return tape.apply("function", *operands, integers=[FUNCTIONS.index("log")])
             case _ if name in FUNCTIONS:
-                return tape.value("function", *operands, integers=[FUNCTIONS.index(name)])
+                return tape.apply("function", *operands, integers=[FUNCTIONS.index(name)])
             case _ if name in INSTRUCTIONS:
-                return tape.value(name, *operands)
+                return tape.apply(name, *operands)
         raise UnsupportedIntegrandError(f"operator {name}")
 
     def _power(self, base: int, exponent: int, exponent_node: Expr) -> int:
@@ -237,7 +237,7 @@ class PointIntegrands:
             if abs(n) in range(1, MAX_PRODUCT_POWER + 1):
                 product = tape.power(base, int(abs(n)))
                 return product if n > 0.0 else tape.divide(tape.number(1.0), product)
-        return tape.value("power", base, exponent)
+        return tape.apply("power", base, exponent)
 
     def _terminal(self, node: Expr) -> int:
         """Return the reference to a number, or to a value of the cell at the point.
@@ -252,15 +252,15 @@ class PointIntegrands:
         component = modified.flat_component
         match terminal:
             case classes.QuadratureWeight():
-                return self.tape.value("weight")
+                return self.tape.apply("weight")
             case classes.JacobianDeterminant():
-                return self.tape.value("determinant")
+                return self.tape.apply("determinant")
             case classes.SpatialCoordinate():
                 return self._interpolate(0, Slot(0, GEOMETRY_COMPONENTS, component, 0))
             case dolfinx.fem.Constant():
                 before = self._constants[: self._constants.index(terminal)]
                 first = sum(int(np.prod(c.ufl_shape)) for c in before)
-                return self.tape.value("constant", integers=[first + component])
+                return self.tape.apply("constant", integers=[first + component])
             case dolfinx.fem.Function():
                 function = 1 + self._functions.index(terminal)
                 return self._interpolate(function, self._slot(modified))
@@ -270,7 +270,7 @@ class PointIntegrands:
         """Return the reference to a component of a function, or its derivative, at the point."""
         nodes = self.elements[slot.element].dim
         integers = [function, slot.component, slot.components, slot.element, slot.direction, nodes]
-        return self.tape.value("interpolate", integers=integers)
+        return self.tape.apply("interpolate", integers=integers)
 
 
 def scalar_element(f: ufl.Argument | dolfinx.fem.Function) -> tuple[basix.ufl._ElementBase, int]:

@@ -134,7 +134,10 @@ class Kernel:
         members["dofmap"] = self._pointers("int", dofmaps)
         program = self.module.ffi.new("Program *", members)
         if getattr(self.module.lib, name)(program, argument):
-            raise MemoryError("There is no memory for the integrals over some dozens of cells.")
+            raise MemoryError(
+                "There is no memory for the integrals over some dozens of cells: run fewer "
+                "processes on this machine."
+            )
 
     def _state(self) -> dict[str, int | npt.NDArray[Any]]:
         """Return the members of ``Program``: those of the generator, constants, and cells."""

@@ -8,7 +8,7 @@ A new material is new data: no C compiler is called. Each value is computed once
 
 *References.* A value has an index v ≥ 1 on the tape. The reference v means the value, −v its
 negative, so no instruction negates. In this file, arguments a, b and results of the methods of
-``Tape`` are references; a ``Value`` is the instruction that computes a value.
+``Tape`` are references; an ``Instruction`` computes a value.
 
 *Equal values.* Each value has a key: its value at a random point of a finite field (J. T. Schwartz,
 J. ACM 27, 1980). Keys of sums and products are computed in the field. Any other function has a
@@ -62,11 +62,11 @@ class UnsupportedIntegrandError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Value:
+class Instruction:
     """The instruction that computes a value.
 
     Attributes:
-        name: Instruction.
+        name: One of :data:`INSTRUCTIONS`.
         operands: References to other values.
         integers: Further numbers that the instruction reads, such as that of a coefficient.
     """
@@ -122,7 +122,7 @@ class Tape:
 
     def __init__(self) -> None:
         """Create an empty tape."""
-        self._values = [Value("end", ())]  # no value has the index 0, as −0 is 0
+        self._computed_by = [Instruction("end", ())]  # of each value; none has index 0, as −0 is 0
         self._keys = [0]  # of each value
         self._references: dict[int, int] = {}  # the reference that has a key
         self.literals: dict[int, float] = {}
@@ -131,29 +131,29 @@ class Tape:
         """Return the reference to a finite number."""
         numerator, denominator = abs(x).as_integer_ratio()
         index = len(self.literals)  # if the number is new
-        literal = Value("number", (), (index,))
+        literal = Instruction("number", (), (index,))
         key = numerator * pow(denominator, -1, PRIME)
-        value = self._find(key, literal)
-        if self.literals.get(abs(value), abs(x)) != abs(x):  # another number has this key
-            value = self._find_opaque(literal)
-        if value > 0:
-            self.literals[value] = abs(x)
-        return value if x >= 0.0 else -value
+        reference = self._find(key, literal)
+        if self.literals.get(abs(reference), abs(x)) != abs(x):  # another number has this key
+            reference = self._find_opaque(literal)
+        if reference > 0:
+            self.literals[reference] = abs(x)
+        return reference if x >= 0.0 else -reference
 
-    def value(self, name: str, *operands: int, integers: Sequence[int] = ()) -> int:
+    def apply(self, name: str, *operands: int, integers: Sequence[int] = ()) -> int:
         """Return the reference to the result of an instruction that is no sum or product."""
         unsigned = tuple(map(self.positive_reference, operands))
-        return self._find_opaque(Value(name, unsigned, tuple(integers)))
+        return self._find_opaque(Instruction(name, unsigned, tuple(integers)))
 
     def add(self, a: int, b: int) -> int:
         """Return the reference to a + b."""
-        return self._find(self._key(a) + self._key(b), Value("sum", (a, b)))
+        return self._find(self._key(a) + self._key(b), Instruction("sum", (a, b)))
 
     def multiply(self, a: int, b: int) -> int:
         """Return the reference to a b."""
         sign = 1 if a * b > 0 else -1
         key = self._keys[abs(a)] * self._keys[abs(b)]
-        return sign * self._find(key, Value("product", (abs(a), abs(b))))
+        return sign * self._find(key, Instruction("product", (abs(a), abs(b))))
 
     def divide(self, a: int, b: int) -> int:
         """Return the reference to a / b."""
@@ -165,7 +165,7 @@ class Tape:
         if reciprocal == 0:  # 1/0 must not have the key of the number 0
             reciprocal = RECIPROCAL_EXPONENT  # any number but zero
         key = self._keys[abs(a)] * reciprocal
-        return sign * self._find(key, Value("quotient", (abs(a), abs(b))))
+        return sign * self._find(key, Instruction("quotient", (abs(a), abs(b))))
 
     def power(self, a: int, n: int) -> int:
         """Return the reference to aⁿ, n ≥ 1, as a product."""
@@ -178,8 +178,8 @@ class Tape:
         value; zero has both signs.
         """
         if self._is_negated_or_zero(a) and self._is_negated_or_zero(b):
-            return -self.value("choose", mask, abs(a), abs(b))
-        return self.value("choose", mask, a, b)
+            return -self.apply("choose", mask, abs(a), abs(b))
+        return self.apply("choose", mask, a, b)
 
     def _is_negated_or_zero(self, a: int) -> bool:
         """Return True if a reference is negated, or refers to zero."""
@@ -187,27 +187,27 @@ class Tape:
 
     def positive_reference(self, a: int) -> int:
         """Return a positive reference to the value of a; a negated value becomes a new one."""
-        return a if a > 0 else self._find_opaque(Value("sum", (a,)))
+        return a if a > 0 else self._find_opaque(Instruction("sum", (a,)))
 
     def _key(self, a: int) -> int:
         """Return the key of a reference."""
         return self._keys[a] if a > 0 else PRIME - self._keys[-a]
 
-    def _find_opaque(self, value: Value) -> int:
-        """Return the reference to a value whose key follows no rule of algebra.
+    def _find_opaque(self, instruction: Instruction) -> int:
+        """Return the reference to a result whose key follows no rule of algebra.
 
         Only the same instruction, with operands of the same keys, has this key.
         """
-        keys = [self._key(a) for a in value.operands]
-        seed = f"{value.name} {keys} {value.integers}"
-        return self._find(random.Random(seed).randrange(1, PRIME), value)
+        keys = [self._key(a) for a in instruction.operands]
+        seed = f"{instruction.name} {keys} {instruction.integers}"
+        return self._find(random.Random(seed).randrange(1, PRIME), instruction)
 
-    def _find(self, key: int, value: Value) -> int:
-        """Return the reference with this key; if there is none, append the value."""
+    def _find(self, key: int, instruction: Instruction) -> int:
+        """Return the reference with this key; if there is none, append the instruction's value."""
         key %= PRIME
         if key not in self._references:
-            number = len(self._values)
-            self._values.append(value)
+            number = len(self._computed_by)
+            self._computed_by.append(instruction)
             self._keys.append(key)
             self._references[PRIME - key] = -number
             self._references[key] = number
@@ -256,12 +256,12 @@ class Tape:
             groups: Its operands; only a sum has several groups, and their lengths come first.
             offset: Offset in bytes of the register of each value.
         """
-        name = self._values[value].name
+        name = self._computed_by[value].name
         words = [INSTRUCTIONS.index(name), offset[value]]
         if name == "sum":
             words += [len(group) for group in groups]
         words += [offset[a] for group in groups for a in group]
-        words += self._values[value].integers
+        words += self._computed_by[value].integers
         return words
 
     def _instructions(self, outputs: set[int]) -> dict[int, list[list[int]]]:
@@ -270,19 +270,19 @@ class Tape:
         inlined = self._inlined(outputs, used)
         instructions: dict[int, list[list[int]]] = {}
         for v in sorted(used - inlined):
-            value = self._values[v]
-            if value.name == "sum":
-                instructions[v] = self._terms(value.operands, inlined).groups()
+            instruction = self._computed_by[v]
+            if instruction.name == "sum":
+                instructions[v] = self._terms(instruction.operands, inlined).groups()
             else:
-                instructions[v] = [list(value.operands)]
+                instructions[v] = [list(instruction.operands)]
         return instructions
 
     def _used(self, outputs: set[int]) -> set[int]:
         """Return the values that outputs depend on, and the outputs."""
         used = set(outputs)
-        for v in reversed(range(len(self._values))):
+        for v in reversed(range(len(self._computed_by))):
             if v in used:
-                used.update(abs(a) for a in self._values[v].operands)
+                used.update(abs(a) for a in self._computed_by[v].operands)
         return used
 
     def _inlined(self, outputs: set[int], used: set[int]) -> set[int]:
@@ -294,14 +294,14 @@ class Tape:
         uses = Counter(outputs)
         uses_in_sums = Counter[int]()
         for v in used:
-            operands = [abs(a) for a in self._values[v].operands]
+            operands = [abs(a) for a in self._computed_by[v].operands]
             uses.update(operands)
-            if self._values[v].name == "sum":
+            if self._computed_by[v].name == "sum":
                 uses_in_sums.update(operands)
         return {
             v
             for v, count in uses_in_sums.items()
-            if count == 1 and uses[v] == 1 and self._values[v].name in ("sum", "product")
+            if count == 1 and uses[v] == 1 and self._computed_by[v].name in ("sum", "product")
         }
 
     def _terms(self, operands: Sequence[int], inlined: set[int]) -> SumTerms:
@@ -310,13 +310,13 @@ class Tape:
         remaining = list(operands)
         while remaining:
             a = remaining.pop()
-            value = self._values[abs(a)]
+            instruction = self._computed_by[abs(a)]
             if abs(a) not in inlined:
                 terms.add_value(abs(a), is_negative=a < 0)
-            elif value.name == "product":
-                terms.add_product(value.operands, is_negative=a < 0)
+            elif instruction.name == "product":
+                terms.add_product(instruction.operands, is_negative=a < 0)
             elif a < 0:
-                remaining += [-b for b in value.operands]
+                remaining += [-b for b in instruction.operands]
             else:
-                remaining += value.operands
+                remaining += instruction.operands
         return terms
