@@ -230,10 +230,11 @@ def guccione(
     I2 = isochoric_invariant_2(C, J)
     I4 = isochoric_invariant_4(C, fibre, J)
     I5 = isochoric_invariant_5(C, fibre, J)
-    along = (I4 - 1) ** 2 / 4  # E_ff²
-    fibres = (I5 - 2 * I4 + 1) / 4  # |Ē f|² = E_ff² + E_fs² + E_fn²
-    total = (I1**2 - 2 * I2 - 2 * I1 + 3) / 4  # Ē : Ē
-    Q = b_f * along + b_t * (total - 2 * fibres + along) + 2 * b_fs * (fibres - along)
+    square_ff = (I4 - 1) ** 2 / 4  # E_ff²
+    square_f = (I5 - 2 * I4 + 1) / 4  # |Ē f|² = E_ff² + E_fs² + E_fn²
+    square = (I1**2 - 2 * I2 - 2 * I1 + 3) / 4  # Ē : Ē
+    across = square - 2 * square_f + square_ff  # E_ss² + E_nn² + 2 E_sn²
+    Q = b_f * square_ff + b_t * across + 2 * b_fs * (square_f - square_ff)
     return c / 2 * (ufl.exp(Q) - 1)
 
 

@@ -138,5 +138,5 @@ def opening_deformation(directions: Sequence[Expr], λ: Expr, stretch: Expr | fl
         ValueError: ``stretch`` is not positive.
     """
     require_positive(stretch=stretch)
-    e0, e1, e2 = (ufl.outer(e, e) for e in directions)
-    return e0 / λ + e1 / stretch + λ * stretch * e2
+    circumferential, longitudinal, transmural = (ufl.outer(e, e) for e in directions)
+    return circumferential / λ + longitudinal / stretch + λ * stretch * transmural
