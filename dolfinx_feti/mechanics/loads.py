@@ -193,7 +193,9 @@ def _is_uniform(p: float | Expr) -> bool:
 def _is_symmetric(u: Expr, ds: ufl.Measure, bcs: Sequence[dolfinx.fem.DirichletBC] | None) -> bool:
     """Return True if the tangent of a uniform pressure is symmetric in all free dofs. Collective.
 
-    Its skew part is p ∮ (v × du)·dx along the rim; it is computed for one du (docs/theory.md).
+    Its skew part is p ∮ (v × du)·dx along the rim. It is assembled for p = 1, a displacement w and
+    an increment du that have no symmetry and meet the conditions (docs/theory.md). The result does
+    not depend on the values of u.
 
     Raises:
         ValueError: u is no Function, ds has no facets, or there is a rim and ``bcs`` is None.

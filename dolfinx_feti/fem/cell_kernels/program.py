@@ -66,7 +66,8 @@ class Program:
         text: Code in C that replaces ``/* generated */`` in ``kernel.c``: sizes of loops, and the
             names of the instructions.
         members: Members of the structure ``Program`` (``program.h``) that do not change between
-            calls.
+            calls. ``Kernel`` adds ``n_cells``, ``cells``, ``constants``, ``values`` and ``dofmap``
+            at each call.
     """
 
     shapes: dict[int, tuple[int, ...]]

@@ -75,7 +75,7 @@ def split_by_region(
         over facets and vertices, with another quadrature rule than the default, or over cells that
         only dolfinx can determine.
     """
-    regions: dict[tuple[int | str, int], Region] = {}  # by number and data
+    regions: dict[tuple[int | str, int], Region] = {}  # by number and identity of the data
     others = [ufl.Form([]) for _ in forms]
     for i, form in enumerate(forms):
         data = _measure_data(form, mesh)

@@ -113,6 +113,10 @@ class ConstraintProducts:
 class Condensation:
     """Condensed fields with their equations, cell by cell.
 
+    The present state is that of the Functions u and the fields. :meth:`assemble` returns the
+    matrices at this state; :meth:`condense`, :meth:`residual` and :meth:`increment` use them. The
+    equations contain no multipliers until :meth:`create_multipliers` is called.
+
     Attributes:
         fields: The fields.
         n_constraints: Number of constraints on u on this process: the dofs of all fields whose
