@@ -274,7 +274,7 @@ def compare(
     comm = problem.decomposition.mesh.comm
     left_out: list[tuple[str, str]] = []
     present: list[Solver] = []
-    for solver in _checked(solvers, comm):
+    for solver in _chosen_solvers(solvers, comm):
         package = solver.missing_package()
         if package:
             left_out.append((solver.name, f"this PETSc was built without {package}"))
@@ -434,7 +434,7 @@ def _solve(create: Callable[[], PETSc.KSP], b: PETSc.Vec, owned: Lifetime) -> _O
     try:
         cost, ksp = on_all(lambda: timed_solve(create, b, x), b.comm.tompi4py())
     except (PETSc.Error, RuntimeError, ImportError) as error:
-        return _Outcome(None, None, f"failed: {error_message(error).splitlines()[-1]}")
+        return _Outcome(None, None, f"failed: {error_message(error)}")
     has_converged = cost.converged_reason > 0
     outcome = _Outcome(
         cost=cost,
@@ -508,7 +508,7 @@ def _solve_directly(K: PETSc.Mat, f: PETSc.Vec, owned: Lifetime) -> _Outcome:
     return replace(outcome, note="; ".join(notes))
 
 
-def _checked(solvers: Sequence[str] | Solvers, comm: MPI.Comm) -> list[Solver]:
+def _chosen_solvers(solvers: Sequence[str] | Solvers, comm: MPI.Comm) -> list[Solver]:
     """Return the solvers that a user has chosen, in this order. Collective.
 
     Raises:

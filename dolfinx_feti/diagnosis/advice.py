@@ -98,13 +98,13 @@ def _advise_on_subdomains(figures: Figures, iterations: int) -> list[Advice]:
     size = "mean dofs of a subdomain"
     advice = []
     if has_several and mean < FEW_DOFS:
-        advice.append(Advice("Take fewer subdomains.", size, mean, FEW_DOFS))
+        advice.append(Advice("Use fewer subdomains.", size, mean, FEW_DOFS))
     elif has_several and mean < MANY_DOFS and has_many_iterations:
-        text = "Take fewer subdomains."
+        text = "Use fewer subdomains."
         advice.append(Advice(text, "iterations", iterations, MANY_ITERATIONS))
     # more subdomains would increase the number of iterations further
     if mean > MANY_DOFS and not has_many_iterations:
-        advice.append(Advice("Take more subdomains.", size, mean, MANY_DOFS))
+        advice.append(Advice("Use more subdomains.", size, mean, MANY_DOFS))
     if unevenness > UNEVEN:
         quantity = "largest subdomain over mean"
         advice.append(Advice("Cut the mesh more evenly.", quantity, unevenness, UNEVEN))
@@ -122,12 +122,12 @@ def _advise_on_method(
     advice = []
     jump = figures.stiffness_jump
     if report.options.scaling == "multiplicity" and jump > STIFFNESS_JUMP:
-        text = f"Weigh the copies by stiffness, -{prefix}feti_scaling stiffness."
+        text = f"Weight the copies by their stiffness, -{prefix}feti_scaling stiffness."
         quantity = "jump of the stiffness between subdomains"
         advice.append(Advice(text, quantity, jump, STIFFNESS_JUMP))
     # a subdomain with negative eigenvalues of K_ρ, or unknown ones, needs the dual formulation
     if is_dual and report.inertia.local == 0:
-        text = f"Take the primal formulation, {_primal(report, prefix)}."
+        text = f"Use the primal formulation, {_primal(report, prefix)}."
         if condition > CONDITION:
             quantity = "condition number of the dual system"
             advice.append(Advice(text, quantity, condition, CONDITION))
@@ -137,7 +137,7 @@ def _advise_on_method(
     has_adaptive_columns = not is_dual and report.options.coarse_adaptive > 0
     has_soft_modes = report.options.coarse_modes > 0
     if not has_soft_modes and not has_adaptive_columns and condition > CONDITION:
-        text = f"Let soft modes join the coarse space, -{prefix}feti_coarse_modes 12."
+        text = f"Add soft modes to the coarse space, -{prefix}feti_coarse_modes 12."
         advice.append(Advice(text, "condition number", condition, CONDITION))
     return advice
 
@@ -149,21 +149,19 @@ def _advise_on_problem(figures: Figures, report: Report) -> list[Advice]:
     stiffening = figures.pressure_stiffening or 1.0
     if has_many_pressures and stiffening > STIFFENING:
         text = (
-            "Take P2 displacements or a smaller κ: with more pressures than dofs, a nearly "
+            "Use P2 displacements or a smaller κ: with more pressures than dofs, a nearly "
             "incompressible body locks."
         )
         quantity = "stiffness with the pressure over that without"
         advice.append(Advice(text, quantity, stiffening, STIFFENING))
     if report.floor > ROUNDING:
         text = (
-            "Lower a penalty such as κ, and let an augmented Lagrangian make up for it: rounding "
-            "ends the linear solve above its tolerance."
+            "Lower a penalty such as κ, and enforce its constraint by an augmented Lagrangian: "
+            "rounding ends the linear solve above its tolerance."
         )
         advice.append(Advice(text, "residual that is rounding", report.floor, ROUNDING))
     if report.error_floor > ROUNDING:
-        text = (
-            "Lower a penalty or a jump of the stiffness: rounding leaves an error of the solution."
-        )
+        text = "Lower a penalty or a jump of the stiffness: rounding limits the accuracy of x."
         quantity = "estimated error that is rounding"
         advice.append(Advice(text, quantity, report.error_floor, ROUNDING))
     negative = report.inertia.assembled or 0

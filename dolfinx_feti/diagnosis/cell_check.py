@@ -106,7 +106,7 @@ class CellCheck:
         comm = self._u.function_space.mesh.comm
         warn(
             f"{volumes}. Stresses in these cells have no meaning, and displacements near them may "
-            f"be off. {remedies}",
+            f"be wrong. {remedies}",
             comm,
         )
 

@@ -35,11 +35,11 @@ __all__ = ["CellVolumes"]
 #: cells of Q2–P1disc stay above 0.9, and those of P2–P0 above 0.6
 #: (docs/results/distorted_cells.md): a bound above 0.6 would warn of sound P2–P0 cells. A bound of
 #: 0.25 would warn only of cells that are about to turn inside out.
-LEAST_RATIO = 0.5
+MIN_RATIO = 0.5
 
 #: Largest det F over its mean in the cell, above which the cell is distorted. Away from clamps,
 #: cells of Q2–P1disc stay below 1.2, and those of P2–P0 below 1.5.
-GREATEST_RATIO = 2.0
+MAX_RATIO = 2.0
 
 #: Share of the cells that may be distorted without a warning. A few cells at a corner of a load or
 #: a support are distorted on any mesh. In an inflated tube with clamped ends 2 % of the cells are.
@@ -47,13 +47,13 @@ MAX_SHARE_DISTORTED = 1e-3
 
 #: Advice on bad cells with a node at which all components of the displacement are prescribed.
 CLAMPED = (
-    "At a clamp det F degenerates with any element and on any mesh: hold the body by soft springs, "
-    "let it slide, or evaluate no stress in the cells beside the clamp."
+    "At a clamp det F degenerates with any element and on any mesh: support the body by soft "
+    "springs, let it slide, or evaluate no stress in the cells next to the clamp."
 )
 
 #: Advice on bad cells away from clamps, if the pressure is constant in each cell.
 SECOND_ORDER = (
-    "Take elements of second order, which keep the volume inside of the cells: Q2 with DPC 1, or "
+    "Use elements of second order, which preserve the volume within the cells: Q2 with DPC 1, or "
     "P2 with bubbles and a linear pressure on a mesh as fine (docs: Which elements?)."
 )
 
@@ -123,7 +123,7 @@ class CellVolumes:
             text += f", and not positive in {self.inverted} cells, which are inside out"
         elif self.distorted:
             text += (
-                f", and below {LEAST_RATIO:g} or above {GREATEST_RATIO:g} times its mean in "
+                f", and below {MIN_RATIO:g} or above {MAX_RATIO:g} times its mean in "
                 f"{self.distorted} cells"
             )
         if self.bad == 1:
@@ -158,8 +158,8 @@ def summarise_volumes(
         is_inverted = ~(values.minimum > 0.0)  # also if it is NaN
         is_distorted = is_inverted.copy()
         if is_determinant:
-            is_distorted |= ~(values.minimum >= LEAST_RATIO * values.mean)
-            is_distorted |= ~(values.maximum <= GREATEST_RATIO * values.mean)
+            is_distorted |= ~(values.minimum >= MIN_RATIO * values.mean)
+            is_distorted |= ~(values.maximum <= MAX_RATIO * values.mean)
     n_inverted = int(comm.allreduce(int(is_inverted.sum())))
     is_bad = is_inverted if n_inverted else is_distorted
     counts = [len(is_bad), is_distorted.sum(), (is_bad & has_clamped_node).sum()]

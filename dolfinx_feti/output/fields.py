@@ -209,7 +209,7 @@ class _SortedFields:
 def _check_field(field: dolfinx.fem.Function | Expr, mesh: dolfinx.mesh.Mesh) -> None:
     """Raise a ValueError if a field has another mesh, a test function, or a mixed element."""
     if any(domain != mesh.ufl_domain() for domain in extract_domains(field)):
-        raise ValueError("it lives on another mesh than the first function; open a file for each.")
+        raise ValueError("it lives on another mesh than the first function; use a file for each.")
     if ufl.algorithms.extract_arguments(field):
         raise ValueError("it holds a test or trial function.")
     if isinstance(field, dolfinx.fem.Function):

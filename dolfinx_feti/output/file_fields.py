@@ -116,7 +116,7 @@ class QuadratureFields:
             ValueError: The points differ from those of the earlier fields.
         """
         if not same_points(self._points, points):
-            raise ValueError("its quadrature points are others than those of the fields before it.")
+            raise ValueError("its quadrature points differ from those of the earlier fields.")
         self._evaluators[name] = CellEvaluator(field, self._mesh, points)
 
     def coordinates(self) -> Array:
@@ -149,7 +149,7 @@ class VertexFields:
             ValueError: The field is an expression.
         """
         if not isinstance(field, dolfinx.fem.Function):
-            raise ValueError("it is an expression on a mesh of points, where only functions live.")
+            raise ValueError("it is an expression on a mesh of vertices; give a Function.")
         self._functions[name] = field
 
     def coordinates(self) -> Array:

@@ -85,9 +85,19 @@ class MeshOutput(ABC):
                 would raise it on one process only.
         """
 
-    @abstractmethod
     def write(self, t: float) -> None:
         """Write the current values of the fields at a time or load. Collective."""
+        for copy in self.copies:
+            copy.update()
+        self._write_copies(t)
+
+    @abstractmethod
+    def _write_copies(self, t: float) -> None:
+        """Write the functions of the copies, which have their current values. Collective.
+
+        Args:
+            t: Time or load.
+        """
 
     @abstractmethod
     def close(self) -> None:
@@ -122,15 +132,13 @@ class VTXOutput(MeshOutput):
         """Return the path of a file, after a check that it can be written. Collective."""
         return writable_folder(folder / f"{name}.bp", comm)
 
-    def write(self, t: float) -> None:
-        """Write the current values of the fields at a time or load. Collective."""
-        for copy in self.copies:
-            copy.update()
-        self._file.write(t)
-
     def close(self) -> None:
         """Close the file. Collective."""
         self._file.close()
+
+    def _write_copies(self, t: float) -> None:
+        """Write the functions of the copies. Collective."""
+        self._file.write(t)
 
 
 class XDMFOutput(MeshOutput):
@@ -172,10 +180,12 @@ class XDMFOutput(MeshOutput):
         _check_files((path, folder / f"{name}.h5"), comm)
         return path
 
-    def write(self, t: float) -> None:
-        """Write the current values of the fields at a time or load. Collective."""
-        for copy in self.copies:
-            copy.update()
+    def close(self) -> None:
+        """Close the file. Collective."""
+        self._file.close()
+
+    def _write_copies(self, t: float) -> None:
+        """Write the mesh if it has moved, then the functions of the copies. Collective."""
         has_moved = not np.array_equal(self._written_nodes, self._mesh.geometry.x)
         if self._mesh.comm.allreduce(has_moved, op=MPI.LOR):
             self._write_mesh()
@@ -183,10 +193,6 @@ class XDMFOutput(MeshOutput):
         grid = f"/Xdmf/Domain/Grid[@GridType='Uniform'][{self._meshes_written}]"
         for copy in self.copies:
             self._file.write_function(copy.function, t, grid)
-
-    def close(self) -> None:
-        """Close the file. Collective."""
-        self._file.close()
 
     def _write_mesh(self) -> None:
         """Write the mesh at its current position, under a new name each time. Collective."""
@@ -264,7 +270,7 @@ def chosen_format(kind: str | None, mesh: dolfinx.mesh.Mesh) -> type[MeshOutput]
         has_vtx = dolfinx.has_adios2 and mesh.topology.cell_name() in VTX_CELLS
         kind = "vtx" if has_vtx else "xdmf"
     if kind not in FORMATS:
-        raise ValueError(f"kind={kind!r}: choose 'vtx' or 'xdmf'.")
+        raise ValueError(f"kind={kind!r}: choose {' or '.join(map(repr, FORMATS))}.")
     FORMATS[kind].check_mesh(mesh)
     return FORMATS[kind]
 

@@ -56,7 +56,7 @@ class Scene:
         """Return a frame with the file's content, for notebooks."""
         page = html.escape(self.path.read_text(encoding="utf-8"))
         style = f"border: 0; height: {HEIGHT}px; width: 100%"
-        return f'<iframe title="A body to be turned" srcdoc="{page}" style="{style}"></iframe>'
+        return f'<iframe title="View of a body" srcdoc="{page}" style="{style}"></iframe>'
 
 
 def write_scene(

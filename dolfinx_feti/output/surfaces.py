@@ -129,7 +129,7 @@ def gather_surface(
     gathered = mesh.comm.gather(here)
     if gathered is None:
         return None
-    triangles = _joined(gathered)
+    triangles = _join(gathered)
     group = triangles.part if is_continuous else triangles.face
     tolerance = SAME_POINT_RTOL * float((high - low).max())
     return _with_shared_points(triangles, group, tolerance, is_plane=mesh.geometry.dim == 2)
@@ -177,18 +177,18 @@ def _triangles(
     return triangles.turned(_has_inward_normal(triangles.x, np.repeat(inside, per_face, axis=0)))
 
 
-def _joined(of_processes: Sequence[_Triangles]) -> _Triangles:
+def _join(gathered: Sequence[_Triangles]) -> _Triangles:
     """Join the triangles of all processes, and number their faces consecutively."""
     faces = []
     n_faces = 0
-    for triangles in of_processes:
+    for triangles in gathered:
         faces.append(n_faces + triangles.face)
         n_faces += int(triangles.face.max(initial=-1)) + 1
     return _Triangles(
-        X=np.concatenate([triangles.X for triangles in of_processes]),
-        x=np.concatenate([triangles.x for triangles in of_processes]),
-        values=np.concatenate([triangles.values for triangles in of_processes]),
-        part=np.concatenate([triangles.part for triangles in of_processes]),
+        X=np.concatenate([triangles.X for triangles in gathered]),
+        x=np.concatenate([triangles.x for triangles in gathered]),
+        values=np.concatenate([triangles.values for triangles in gathered]),
+        part=np.concatenate([triangles.part for triangles in gathered]),
         face=np.concatenate(faces),
     )
 

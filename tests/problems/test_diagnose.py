@@ -130,7 +130,7 @@ def test_few_and_many_dofs(monkeypatch):
     advises("mean dofs of a subdomain", few, many)
     monkeypatch.setattr(advice, "MANY_DOFS", 300)
     said = [a.text for a in many.diagnose().advice]
-    agree(said == ["Take more subdomains."])
+    agree(said == ["Use more subdomains."])
 
 
 def test_one_subdomain_for_each_process_is_not_too_small():

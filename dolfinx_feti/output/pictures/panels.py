@@ -102,7 +102,7 @@ class Panel(ABC):
             RuntimeError: This is another process.
         """
         if self.surface is None:
-            raise RuntimeError("A panel has its surface on the first process alone.")
+            raise RuntimeError("A panel has its surface on the first process only.")
         return self.surface
 
     def _shaded_mesh(self) -> Any:
