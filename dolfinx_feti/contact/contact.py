@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Contact of a surface with a rigid tool, as a user creates it and reads its results.
 
-:class:`Contact` has the law's forms at once. What measures and updates them is compiled when a
-problem gets the contact.
+:class:`Contact` creates the forms of the law immediately. The parts that measure and update the
+contact are compiled when a problem receives it.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class _CompiledContact:
 class Contact:
     """A surface of a body that a rigid tool must not enter.
 
-    A new contact has its forms only. Its values and results exist from :meth:`prepare` on, which
+    A new contact has only its forms. Values and results are available after :meth:`prepare`, which
     NonlinearProblem calls.
 
     Example::
@@ -118,7 +118,7 @@ class Contact:
     # -- for a problem ----------------------------------------------------------------------------
 
     def prepare(self, compiler: Compiler) -> None:
-        """Compile what measures and updates the contact. Collective.
+        """Compile the parts that measure and update the contact. Collective.
 
         Raises:
             ValueError: The measure has no facets, or the weight is not positive.

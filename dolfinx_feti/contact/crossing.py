@@ -18,9 +18,9 @@ from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["CrossingDetection"]
 
-#: States between the stored state and the present one at which the tool is evaluated. A tool that
-#: is thinner than 1/32 of the distance can be missed. Twice as many states double the time of a
-#: check if ∇g has reversed somewhere.
+#: Number of states between the stored and the current one at which the tool is evaluated. A tool
+#: thinner than 1/32 of the way of a point can be missed. Twice as many states double the time of a
+#: check in which ∇g has reversed at some point.
 STATES_BETWEEN = 31
 
 
@@ -45,7 +45,7 @@ class CrossingDetection:
     """
 
     def __init__(self, evaluation: ContactEvaluation) -> None:
-        """Store the present state. Collective.
+        """Store the current state. Collective.
 
         Args:
             evaluation: Values at the points of the surface.
@@ -56,7 +56,7 @@ class CrossingDetection:
         self.store_state()
 
     def store_state(self) -> None:
-        """Store the present state of body and tool. Collective."""
+        """Store the current state of body and tool. Collective."""
         self._stored = self._position()
         self._stored_normals = self._evaluation.normals()
 
@@ -64,8 +64,8 @@ class CrossingDetection:
         """Return True if a point has crossed the tool since the stored state. Collective.
 
         Args:
-            tolerance: Depth above which the line of a point leads through the tool, over the size
-                of a cell.
+            tolerance: Depth, over the size of a cell, above which the line between the states leads
+                through the tool.
         """
         comm = self._evaluation.surface.mesh.comm
         cosines = np.einsum("pi,pi->p", self._stored_normals, self._evaluation.normals())
@@ -96,7 +96,7 @@ class CrossingDetection:
         return depth
 
     def _position(self) -> _Position:
-        """Return the present position."""
+        """Return the current position."""
         constants = [np.array(constant.value) for constant in self._constants]
         return _Position(self._u.x.array.copy(), constants)
 

@@ -20,9 +20,10 @@ __all__ = ["ContactEvaluation"]
 
 
 class ContactEvaluation:
-    """Values of a contact in the present state of body and tool.
+    """Values of a contact in the current state of body and tool.
 
-    Only g and ∇g are compiled; the other values follow from them, from λ and from ε.
+    g and ∇g are compiled. The other values follow from them, λ and ε; only the area stretch is
+    compiled as well, when it is first evaluated.
 
     Attributes:
         surface: The surface, with its points.

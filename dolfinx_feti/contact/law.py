@@ -27,9 +27,9 @@ from dolfinx_feti.contact.points import create_point_space
 
 __all__ = ["ContactLaw"]
 
-#: Gap over the size of a cell up to which a point is in contact in the tangent: well above the
-#: rounding of a position, and below any tolerance. At 1e-6 Newton's method takes twice the steps
-#: where the tolerance of penetrations is 1e-6.
+#: Gap over the size of a cell up to which the tangent treats a point as touching: well above the
+#: rounding of a position, and below any tolerance. At 1e-6 Newton's method takes twice as many
+#: steps if the tolerance of penetrations is 1e-6.
 CLOSED_GAP = 1e-9
 
 #: Penetration over the size of a cell up to which the pressure contributes −p ∇²g, the part due to
@@ -42,7 +42,8 @@ MAX_CURVATURE_DEPTH = 1e-2
 class ContactLaw:
     """The forms of a contact in u, with its multiplier λ and penalty ε.
 
-    λ and ε are Functions, zero at first: the forms have the values that these hold.
+    λ and ε are Functions in the forms, and zero in a new law. Π_c divides by ε: set a positive
+    value before Π_c is assembled.
 
     Attributes:
         u: The displacement.
@@ -99,10 +100,10 @@ class ContactLaw:
     def tangent(self) -> ufl.Form:
         """The derivative of δΠ_c, ∫ ε δg Δg − p Δδg dA, with two exceptions.
 
-        Points with a gap up to ``CLOSED_GAP`` count as touching, so that the tangent at the kink is
-        that of the stiffer side. With the softer side, a step ends where the point touches, and so
-        does the next step. In −p Δδg, p is bounded by ``MAX_CURVATURE_DEPTH``: no equilibrium has a
-        deeper penetration.
+        Points with a gap up to ``CLOSED_GAP`` count as touching. The residual has a kink at p = 0,
+        and its tangent there is that of the stiffer side. With the tangent of the softer side, a
+        Newton step could end at the kink again and again. In −p Δδg, p is at most the pressure at a
+        penetration of ``MAX_CURVATURE_DEPTH``: no equilibrium has a deeper one.
         """
         λ = self.multiplier
         ε = self.penalty

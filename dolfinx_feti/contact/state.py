@@ -19,14 +19,14 @@ from dolfinx_feti.runtime.arrays import Array
 
 __all__ = ["ContactState"]
 
-#: ε over the stiffness of the body at the surface, per area. At half of it, updates converge half
-#: as fast; at twice, the condition number of the assembled tangent doubles.
+#: ε over the stiffness per area of the body at its surface. At half of this value, updates converge
+#: half as fast. At twice, the condition number of the assembled tangent doubles.
 PENALTY = 10.0
 
 #: Quantile of the stiffness over the facets that determines ε. One ε for the whole surface
-#: reproduces a uniform pressure exactly. The quantile ignores a few slivers; in a graded mesh most
-#: facets are small and where the contact is. At 0.45 updates are slow in the stiffer half of a body
-#: of two materials; at 1 a single sliver determines ε.
+#: reproduces a uniform pressure exactly. The quantile ignores a few slivers. In a graded mesh most
+#: facets are the small ones at the contact. At 0.45 updates are slow in the stiffer half of a body
+#: of two materials. At 1 a single sliver determines ε.
 QUANTILE = 0.9
 
 #: A multiplier, in the unit of λ, with which no point is in contact: λ − ε g is negative at any

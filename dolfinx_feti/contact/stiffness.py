@@ -37,7 +37,7 @@ def stiffness_quantile(
         quantile: The quantile, from 0 (softest facet) to 1 (stiffest).
 
     Returns:
-        s_f of the facet below which that share of all facets is, in stress per length.
+        The quantile of s_f, in stress per length.
     """
     d = V.dofmap.index_map_bs
     k = with_ghosts(V, np.abs(diagonal).reshape(-1, d).mean(axis=1))
@@ -53,7 +53,7 @@ def stiffness_quantile(
 def _nodes_of_facets(surface: ContactSurface, V: dolfinx.fem.FunctionSpace) -> Indices:
     """Return the local nodes of V on each facet of the surface, (facets, nodes of a facet).
 
-    The nodes on edges and vertices of a facet are among them.
+    Nodes on the edges and vertices of a facet are included.
     """
     layout = V.dofmap.dof_layout
     dimension = surface.mesh.topology.dim - 1

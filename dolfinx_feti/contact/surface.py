@@ -45,7 +45,7 @@ class PointExpression:
     areas: Array
 
     def evaluate(self) -> Array:
-        """Return the values in the present state, (points,). Collective."""
+        """Return the values in the current state, (points,). Collective."""
         return np.asarray(_assemble(self.form)[self.dofs] / self.areas)
 
 

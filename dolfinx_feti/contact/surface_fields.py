@@ -34,7 +34,7 @@ class SurfaceFields:
         degree = surface.ds.metadata()["quadrature_degree"]
         element = basix.ufl.quadrature_element(cell, degree=degree)
         self._space = dolfinx.fem.functionspace(submesh, element)
-        # the facet has the same points in both meshes, in another order
+        # a facet has the same points in both meshes, in a different order: match the nearest ones
         n = len(surface.element.rules[0])
         facets = order[np.searchsorted(numbers[order], parents)]  # of each cell of the submesh
         in_body = surface.coordinates().reshape(len(numbers), n, mesh.geometry.dim)[facets]

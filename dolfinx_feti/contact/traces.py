@@ -29,12 +29,12 @@ __all__ = ["Traces"]
 #: further digit takes about four products with a small matrix.
 FIT_RTOL = 1e-10
 
-#: Value of a basis function below which it is zero on a facet: those of nodes inside the cell are
-#: rounding errors there, all others are above 1e-3 at a point.
+#: Absolute value of a basis function up to which it counts as zero on a facet. Those of nodes off
+#: the facet have rounding errors there. All others exceed 1e-3 at a point.
 TRACE_ATOL = 1e-12
 
-#: Iterations of the fit, at most. Mass matrices take some thirty. Points at the rim of a contact
-#: where the basis functions are small can take more; the remaining error is at these points.
+#: Largest number of iterations of the fit. Mass matrices take some thirty. Points at the rim of a
+#: contact, where the basis functions are small, can take more; the remaining error is there.
 MAX_FIT_ITERATIONS = 100
 
 

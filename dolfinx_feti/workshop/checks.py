@@ -43,7 +43,8 @@ IDENTITY_RTOL = 1e-9
 #: Largest deviation from finite differences, whose errors are 1e-10 for smooth energies.
 DIFFERENCE_RTOL = 1e-6
 
-#: Change of the tangent next to the reference above which it has a kink there.
+#: Relative change of the tangent from the reference to a state next to it, above which the tangent
+#: has a kink at the reference.
 KINK_RTOL = 1e-3
 
 #: Increment of F in central differences: the cube root of the rounding unit, where the errors of
@@ -66,7 +67,7 @@ class Check:
 
     name: str  #: The property
     outcome: Outcome  #: ``pass``, ``warn`` (a property that good models may lack) or ``fail``
-    value: float | None  #: By name: a relative deviation, a number of states, or a modulus [kPa]
+    value: float | None  #: Relative deviation, number of states, or modulus [kPa], by the name
     bound: float | None  #: Largest value that passes; None for a modulus, which must be positive
     note: str = ""  #: The state, the meaning, or the remedy
 
@@ -77,7 +78,8 @@ def check_law(law: Law, *, strain: float, incompressible: bool) -> list[Check]:
     Args:
         law: The states as a function of F.
         strain: Largest principal strain of the random states.
-        incompressible: Whether they have det F = 1, and the pressure at rest is arbitrary.
+        incompressible: Whether the random states have det F = 1; the pressure at rest is then
+            arbitrary.
     """
     rng = np.random.default_rng(SEED)
     all_states = law(random_states(rng, N_STATES, strain, incompressible=incompressible))
@@ -285,6 +287,6 @@ def _largest(values: Array) -> Array:
 
 
 def _scale(A: Array) -> Array:
-    """Return the largest absolute entry of each tangent, (n,), or 1 where all are zero."""
+    """Return the largest absolute entry of each tangent, (n,), or 1 if all are zero."""
     largest = _largest(A)
     return np.where(largest > 0, largest, 1.0)

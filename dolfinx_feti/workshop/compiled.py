@@ -115,7 +115,7 @@ class CompiledEnergy:
         return States(F, psi, P, A)
 
     def _batch(self, F: Array) -> list[Array]:
-        """Return Ψ, P and A at up to BATCH states, NaN where F is not finite.
+        """Return Ψ, P and A at up to BATCH states; NaN if F is not finite.
 
         Such an F is replaced by I for the evaluation: the generated code would spread its NaN to
         all states.
@@ -185,7 +185,7 @@ def compile_material(
         jit_options: Options of dolfinx's compiler; by default ``-O1``.
 
     Raises:
-        TypeError: ``psi`` has other arguments, or returns something else than a UFL expression.
+        TypeError: ``psi`` has other arguments, or does not return a UFL expression.
         ValueError: The energy is not a scalar, does not depend on the deformation, or depends on a
             field; or ``kappa`` is negative or NaN, or a parameter is not finite.
     """
@@ -219,7 +219,7 @@ def evaluate(material: Material, F: npt.ArrayLike) -> States:
 
 
 def _call(psi: Callable[..., Expr], F: Variable, parameters: Mapping[str, Expr]) -> Expr:
-    """Return psi at those of F, C and J that are its arguments, and at the parameters.
+    """Call psi with those of F, C and J that it has as arguments, and with the parameters.
 
     Raises:
         TypeError: It has other arguments.

@@ -26,17 +26,18 @@ from dolfinx_feti.workshop.paths import DeformationPath
 
 __all__ = ["Ellipticity", "least_eigenvalues", "scan_ellipticity"]
 
-#: Eigenvalue, relative to the stiffness at rest, that is zero: rounding with a margin.
+#: Eigenvalue, over the stiffness at rest, up to which it counts as zero: rounding with a margin.
 ZERO_EIGENVALUE = 1e-10
 
-#: Directions of the first search, some 7° apart.
+#: Number of directions in the first search; they are some 7° apart.
 N_DIRECTIONS = 400
 
-#: Directions around the best one in each further search.
+#: Number of directions around the best one in each further search.
 N_AROUND = 12
 
-#: Their distances from it [rad], one search after the other: 0.1 is the distance of the first
-#: directions, and the square of the last one, 1e-14, is the error of an eigenvalue.
+#: Distances of the directions of the further searches from the best one [rad]. The first, 0.1, is
+#: that between directions of the first search. The square of the last, 1e-14, is the relative error
+#: of an eigenvalue.
 DISTANCES = 0.1 * 0.6 ** np.arange(28)
 
 
@@ -47,7 +48,7 @@ class Ellipticity:
     path: DeformationPath  #: The path
     least: Array  #: Smallest eigenvalues [kPa], (n,); NaN for states without equilibrium
     rest: float  #: Value of the path at the state nearest to the reference
-    lost: tuple[float, ...]  #: Values at which ellipticity is first lost below and above rest
+    lost: tuple[float, ...]  #: Values nearest to rest, below and above, where ellipticity is lost
 
 
 def scan_ellipticity(

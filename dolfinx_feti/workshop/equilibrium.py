@@ -29,8 +29,8 @@ MAX_STEPS = 40
 #: Halvings of a Newton step: a bound; shorter steps would be below 1/4000 of it.
 MAX_HALVINGS = 12
 
-#: Numbers of steps from rest to F, tried one after the other for the states that have failed; a
-#: single step starts from the guess.
+#: Numbers of steps from rest to F. Each is tried for the states in which all before it have failed.
+#: A single step starts from the guess.
 LOAD_STEPS = (1, 8, 64)
 
 #: Newton increment of F at which a state has converged: its error is the square of this.
@@ -42,10 +42,11 @@ BALANCED_RTOL = 1e-7
 #: Residual, relative to the tangent, that is rounding.
 RESIDUAL_ROUNDING = 1e-14
 
-#: Share of the predicted decrease of the residual that a Newton step must have (Armijo's rule).
+#: Share of the predicted decrease of the residual that a Newton step must attain (Armijo's rule).
 SUFFICIENT_DECREASE = 1e-4
 
-#: Volume ratio up to which a trial state is rejected: St Venant–Kirchhoff's energy allows collapse.
+#: Volume ratio up to which a trial state is rejected. Some energies, such as that of St Venant and
+#: Kirchhoff, are finite at J = 0, and do not prevent collapse.
 MIN_VOLUME_RATIO = 1e-6
 
 #: Lower bound of Σ_k (D_k : cof F)² in the first guess of p, against a division by zero: the sum is
@@ -240,7 +241,7 @@ def _newton(balance: _Balance, F: Array, p: Array | None, is_wanted: Mask) -> tu
         has_converged = has_converged | (is_active & is_solved)
         needs_no_step: Mask = has_converged | ~is_active
         alpha: Array = np.ones(len(F))
-        for _ in range(MAX_HALVINGS):
+        for _ in range(MAX_HALVINGS):  # of the steps that do not decrease the residual enough
             change = _combine(alpha[:, None] * dx, balance.free)
             trial = balance.at(state.F + change, state.p + alpha * dp)
             bound = (1 - SUFFICIENT_DECREASE * alpha) * state.norm

@@ -23,7 +23,8 @@ from dolfinx_feti.workshop.equilibrium import total_tangent
 
 __all__ = ["ZERO_STIFFNESS", "Moduli", "small_strain_moduli"]
 
-#: Eigenvalue of the stiffness, relative to its largest entry, that is zero: rounding with a margin.
+#: Eigenvalue of the stiffness, over its largest entry, up to which it counts as zero: rounding with
+#: a margin.
 ZERO_STIFFNESS = 1e-8
 
 #: Indices of Voigt's components 1 to 6.
