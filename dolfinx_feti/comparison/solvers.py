@@ -48,7 +48,8 @@ SOLVERS: dict[str, Mapping[str, object]] = {
     },
 }
 
-#: The solver of :data:`SOLVERS` whose solution is the reference for the others.
+#: Name of the solver whose solution is the reference for the others, whatever its options. With the
+#: options of :data:`SOLVERS`, LU factors are tried if Cholesky factors are inaccurate.
 REFERENCE = "mumps"
 
 #: Packages that PETSc may be built without, under their names in PETSc's options. A solver needs a

@@ -10,7 +10,7 @@ A tool is a function ``x ↦ g`` of a vector of UFL, one of these or the user's.
 Constants: the tool then moves or grows with them, as in ``set_load`` of ``follow_load``. Lengths
 are in the unit of the mesh.
 
-The length of ∇g is not checked. Where g has a kink, as between the tools of a union, UFL has the
+The length of ∇g is not checked. At a kink of g, as between the tools of a union, UFL evaluates the
 derivative of one side. At the centre of a sphere and on the axis of a cylinder the derivative is
 0/0: no point of the surface may touch a tool there.
 """
@@ -216,7 +216,7 @@ def _vector(name: str, vector: Vector | None, x: Any) -> Any:
     """Return a vector of UFL with as many components as the position x; zero for None.
 
     Raises:
-        ValueError: It has more or fewer components.
+        ValueError: The vector has a different number of components.
     """
     if vector is None:
         return ufl.zero(len(x))
@@ -232,7 +232,7 @@ def _unit_vector(name: str, direction: Vector, x: Any) -> Any:
     """Return a unit vector of UFL with as many components as the position x.
 
     Raises:
-        ValueError: The direction has more or fewer components.
+        ValueError: The direction has a different number of components.
     """
     d = _vector(name, direction, x)
     if isinstance(direction, Expr):

@@ -65,7 +65,7 @@ class MeshOutput(ABC):
     ) -> dolfinx.fem.FunctionSpace:
         """Return the space in which the format writes a field. Collective.
 
-        Its element is a Lagrange element or a discontinuous one, see :class:`FieldCopy`.
+        Its element is a Lagrange element or a discontinuous one, see ``FieldCopy``.
         """
 
     @staticmethod

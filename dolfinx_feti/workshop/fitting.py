@@ -35,15 +35,15 @@ __all__ = ["Fit", "fit", "uncertainty"]
 #: optimisation stays inside, at a distance of about its tolerance.
 BOUND_RTOL = 1e-6
 
-#: Singular value of the Jacobian with unit columns below which the data do not determine a
-#: combination of parameters: differences of the residuals have relative errors of 1e-10 and more.
+#: Singular value of the Jacobian, with unit columns, up to which the data do not determine a
+#: combination of parameters. Differences of the residuals have relative errors of 1e-10 and more.
 SINGULAR_RTOL = 1e-7
 
-#: Component of such a combination above which a parameter takes part in it.
+#: Component of an undetermined combination above which a parameter counts as part of it.
 MIN_COMPONENT = 1e-3
 
-#: Relative change of the sum of squares at which the fit ends: far below the errors of
-#: measurements, so that intervals do not depend on it.
+#: Relative change of the sum of squares at which the fit ends: far below errors of measurement, so
+#: intervals do not depend on it.
 FIT_FTOL = 1e-12
 
 #: Size of the gradient of the sum of squares at which the fit ends, for the same reason.
@@ -133,7 +133,7 @@ def fit(
         jit_options: Options of dolfinx's compiler; by default ``-O1``.
 
     Raises:
-        ValueError: There are no more data than parameters, or a start value is not finite or not
+        ValueError: There are not more data than parameters, or a start value is not finite or not
             within its bounds.
         TypeError: ``psi`` does not take the parameters.
         ConvergenceError: There is no equilibrium at the start, or the least-squares method failed.

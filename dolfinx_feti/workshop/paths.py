@@ -106,8 +106,8 @@ def biaxial(
         name: Name of the test.
 
     Raises:
-        ValueError: A stretch is not positive, there are more or fewer λ₂ than λ, or the directions
-            are not normal to each other.
+        ValueError: A stretch is not positive, the numbers of λ₂ and λ differ, or the directions are
+            not normal to each other.
     """
     stretch = _stretches("stretch", stretch)
     second = _stretches("stretch_2", stretch_2)
@@ -239,7 +239,7 @@ def _unit(name: str, direction: npt.ArrayLike) -> Array:
     """Return a unit vector, (3,).
 
     Raises:
-        ValueError: The direction is zero or has no three finite components.
+        ValueError: The direction is zero, or is not three finite components.
     """
     vector = np.array(direction, dtype=np.float64)
     length = np.linalg.norm(vector)
@@ -271,7 +271,7 @@ def _numbers(name: str, values: npt.ArrayLike) -> Array:
     """Return numbers, (n,).
 
     Raises:
-        ValueError: There is none, or one is not finite.
+        ValueError: There is no number, or one is not finite.
     """
     numbers = np.atleast_1d(np.array(values, dtype=np.float64))
     if numbers.ndim != 1 or not len(numbers) or not np.isfinite(numbers).all():

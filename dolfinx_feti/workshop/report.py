@@ -67,7 +67,7 @@ def check(
         n: Number of states along a path.
 
     Raises:
-        ValueError: A range does not hold the state of rest, or ``strain`` or ``n`` is too small.
+        ValueError: A range does not contain the state of rest, or ``strain`` or ``n`` is too small.
     """
     require_type(Material, material=material)
     ranges = {
@@ -89,7 +89,7 @@ def check(
 
 
 def _check_finite_along(law: Law, paths: Sequence[DeformationPath]) -> Check:
-    """Check that all values are finite along the paths, with guesses of the free entries."""
+    """Check that all values are finite along the paths, at the guesses of the free entries."""
     not_finite = [(path, k) for path in paths for k in np.flatnonzero(~law(path.F).finite)]
     name = "finite values along the paths"
     if not not_finite:
@@ -101,7 +101,7 @@ def _check_finite_along(law: Law, paths: Sequence[DeformationPath]) -> Check:
 
 
 def _check_stiffness(moduli: Moduli) -> Check:
-    """Check that the reference is stable: the least eigenvalue of its stiffness is positive."""
+    """Check that the reference is stable: the smallest eigenvalue of its stiffness is positive."""
     zero = ZERO_STIFFNESS * np.abs(moduli.stiffness).max()
     outcome: Outcome = "pass"
     note = "kPa"
@@ -115,7 +115,7 @@ def _check_stiffness(moduli: Moduli) -> Check:
 
 
 def _check_ellipticity(scan: Ellipticity) -> Check:
-    """Check that a path stays elliptic; a loss at rest is a failure, one further on a warning."""
+    """Check that a path stays elliptic: a loss at rest is a failure, a later one a warning."""
     path = scan.path
     has_no_equilibrium = np.isnan(scan.least)
     name = f"strongly elliptic, {path.name}"

@@ -134,16 +134,16 @@ def plot_responses(
     names: Sequence[str] | None = None,
     measure: Measure = "cauchy",
 ) -> Figure:
-    """Draw stresses over stretches or shears: of responses as lines, of data sets as points.
+    """Draw stresses over stretches or shears: responses as lines, data sets as points.
 
     Args:
         responses: Responses, one at least, such as ``Fit.responses``.
         data: Measured stresses, such as ``Fit.data``.
         names: Names of the responses in the legend, by default those of the paths.
-        measure: ``cauchy`` or ``piola``, of the responses; data sets have their own.
+        measure: ``cauchy`` or ``piola``, for the responses; each data set has its own measure.
 
     Raises:
-        ValueError: There is no response, the names are more or fewer, or the measure is unknown.
+        ValueError: There is no response, the number of names is wrong, or the measure is unknown.
     """
     if not responses:
         raise ValueError("responses is empty: give at least one response.")
