@@ -141,14 +141,14 @@ def each_choice(items: list[pytest.Item]) -> Iterable[pytest.Item]:
     to the last, on three from the last to the first, so that they run different combinations.
     """
     rest = items if COMM.size == 2 else items[::-1]
-    missing = set[object]().union(*map(values, rest))
+    missing = set[object]().union(*map(parameter_values, rest))
     while missing:
-        item = max(rest, key=lambda item: len(values(item) & missing))
-        missing -= values(item)
+        item = max(rest, key=lambda item: len(parameter_values(item) & missing))
+        missing -= parameter_values(item)
         yield item
 
 
-def values(item: pytest.Item) -> set[object]:
+def parameter_values(item: pytest.Item) -> set[object]:
     """Return the values of a test's parameters; parameters of one decorator are one value."""
     parameters = getattr(item, "callspec", None)
     if parameters is None:

@@ -75,8 +75,12 @@ class Grammar:
         self.text = [f"seed {seed}", f"curved {cell}" if is_curved else cell]
         self.degree: int | None = None  # of quadrature elements
         self.V = dolfinx.fem.functionspace(self.mesh, self.unknown())
+        rank = int(self.rng.integers(3))
+        self.has_lists = self.chance(0.3)  # of cells in its measures, in place of tags
+        # dolfinx 0.9 loses integrals over a number that is in a tuple, too
+        self.numbers = self.one([[1, 2, 3, 7], [(1, 2), 3], [(2, 3), 1], [(1, 2, 3)]])
         # UFL's estimate may need a hundred thousand points
-        self.form = limit_quadrature_degree(self.draw(int(self.rng.integers(3))), 6)
+        self.form = limit_quadrature_degree(self.draw(rank), 6)
 
     # -- choices ----------------------------------------------------------------------------------
 
@@ -263,7 +267,7 @@ class Grammar:
             metadata["quadrature_degree"] = self.one([1, 2, 3, 4, np.int64(2), np.int32(3)])
         elif self.chance(0.1) and self.cell not in ("interval", "prism"):
             metadata["quadrature_rule"] = "vertex"
-        data = cell_list if self.lists else cell_tags
+        data = cell_list if self.has_lists else cell_tags
         if facets:
             data = facet_tags
         number = None
@@ -275,9 +279,7 @@ class Grammar:
         return dx if number is None else dx(number)
 
     def draw(self, rank: int) -> ufl.Form:
-        self.lists = self.chance(0.3)
-        # dolfinx 0.9 loses integrals over a number that is in a tuple, too
-        self.numbers = self.one([[1, 2, 3, 7], [(1, 2), 3], [(2, 3), 1], [(1, 2, 3)]])
+        """A form of this rank: a sum of one to three terms, or the derivative of an energy."""
         terms = int(self.rng.integers(1, 4))
         v = ufl.TestFunction(self.V)
         u = ufl.TrialFunction(self.V)

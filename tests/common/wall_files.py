@@ -31,7 +31,7 @@ def on_first(make: Callable[[], T]) -> T:
     return collective.on_root(make, COMM)
 
 
-def tube(folder: Path, **options: object) -> Wall:
+def tube_wall(folder: Path, **options: object) -> Wall:
     """Write ``tube.msh`` into a folder with the options of ``write_tube``, and read it."""
     path = folder / "tube.msh"
     on_first(lambda: write_tube(path, **options))

@@ -10,7 +10,7 @@ import itertools
 import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small, whole
-from wall_files import tube
+from wall_files import tube_wall
 
 import dolfinx
 import ufl
@@ -41,7 +41,7 @@ def test_tube(tmp_path, kind, order, quarter):
     angle = 2 * np.pi / 16
     if kind == "file":
         counts = {"around": n, "through": (1, 1), "along": 10}
-        wall = tube(tmp_path, length=L, quarter=quarter, **counts)
+        wall = tube_wall(tmp_path, length=L, quarter=quarter, **counts)
     else:
         shape = {"order": order, "tetrahedra": kind == "tetrahedra"}
         wall = create_brick_tube(COMM, length=L, size=0.1, quarter=quarter, around=n, **shape)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from collective import agree, equal, raises
 from ufl_values import scalar
-from wall_files import tube
+from wall_files import tube_wall
 
 import dolfinx
 import ufl
@@ -34,12 +34,12 @@ LENGTH = 1.0
 @pytest.fixture(scope="module")
 def wall(tmp_path_factory):
     """A whole tube."""
-    return tube(tmp_path_factory.mktemp("whole"), length=LENGTH, size=0.5)
+    return tube_wall(tmp_path_factory.mktemp("whole"), length=LENGTH, size=0.5)
 
 
 @pytest.fixture(scope="module")
 def quarter(tmp_path_factory):
-    return tube(tmp_path_factory.mktemp("quarter"), length=LENGTH, size=0.5, quarter=True)
+    return tube_wall(tmp_path_factory.mktemp("quarter"), length=LENGTH, size=0.5, quarter=True)
 
 
 ENDS = {"opening_1": Slide(), "opening_2": Slide()}
@@ -146,7 +146,7 @@ def test_pressure_has_a_potential_where_its_rims_are_held(wall, quarter):
 
 def test_tangent_follows_from_the_rim_where_there_is_no_potential(tmp_path):
     """Planes of two normals off the origin: −p V fits neither, but the tangent is symmetric."""
-    wall = tube(tmp_path, length=LENGTH, size=0.5, quarter=True)
+    wall = tube_wall(tmp_path, length=LENGTH, size=0.5, quarter=True)
     wall.mesh.geometry.x[:, :2] += (1.0, 2.0)
     u, d, w = (displacement(wall) for _ in range(3))
     d.interpolate(lambda x: np.sin([x[1] + x[2], 2 * x[0], x[0] + x[1]]))

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from collective import COMM, agree, equal, raises, small, whole
 from ufl_values import scalar
-from wall_files import ROOT, centroids, on_first, tube
+from wall_files import ROOT, centroids, on_first, tube_wall
 
 import dolfinx
 import ufl
@@ -134,7 +134,7 @@ def test_tube(tmp_path, quarter):
     errors = []
     for around in (12, 24, 48):
         counts = {"around": around // 4 if quarter else around, "along": 3, "through": (1, 1)}
-        wall = tube(tmp_path, quarter=quarter, length=0.3, **counts)
+        wall = tube_wall(tmp_path, quarter=quarter, length=0.3, **counts)
         frame = fibre_frame(wall)
         is_frame(frame)
         pairs = zip(directions(frame), cylindrical(wall), strict=True)
@@ -146,7 +146,7 @@ def test_tube(tmp_path, quarter):
 
 def test_slivers(tmp_path):
     """On flat cells CG fails, and MUMPS solves: z is exact up to rounding in the flat cells."""
-    wall = tube(tmp_path, size=0.2, length=1.0)
+    wall = tube_wall(tmp_path, size=0.2, length=1.0)
     z = wall.mesh.geometry.x[:, 2]
     step = np.diff(np.unique(np.round(whole(z), 9)))[0]
     z[np.isclose(z, 2.0 * step)] = step * (1.0 + FLATNESS)
@@ -168,7 +168,7 @@ def test_slivers(tmp_path):
 @pytest.mark.parametrize("angles", [None, {"media": 0.0, "adventitia": 90.0}])
 def test_families_have_their_angles(tmp_path, angles):
     """±α from ê₀ in the plane of ê₀ and ê₁, with a jump at the interface."""
-    wall = tube(tmp_path, size=0.26, length=0.6)
+    wall = tube_wall(tmp_path, size=0.26, length=0.6)
     frame = fibre_frame(wall)
     e0, e1, e2 = directions(frame)
     families = fibre_families(wall, frame, angles)
@@ -193,7 +193,7 @@ def test_families_have_their_angles(tmp_path, angles):
 
 def test_inlet_may_be_chosen(tmp_path):
     """The other end as inlet turns the longitudinal and the circumferential direction round."""
-    wall = tube(tmp_path, size=0.4, length=1.0)
+    wall = tube_wall(tmp_path, size=0.4, length=1.0)
     forth = directions(fibre_frame(wall, inlet="opening_1"))
     back = directions(fibre_frame(wall, inlet="opening_2"))
     for sign, f, b in zip((-1, -1, 1), forth, back, strict=True):
@@ -310,7 +310,7 @@ def test_weak_gradients_take_their_neighbours_direction(tmp_path):
 
 
 def test_no_direction_anywhere(tmp_path):
-    wall = tube(tmp_path, size=0.4, length=0.4)
+    wall = tube_wall(tmp_path, size=0.4, length=0.4)
     n = len(centroids(wall))
     with raises(ArithmeticError, "cells of the wall have no direction"):
         fibres._unit_directions(wall, np.zeros((n, 3)), np.zeros((n, 3)))
@@ -339,7 +339,7 @@ def test_the_readmes_gmsh_example(tmp_path, monkeypatch):
 
 
 def test_unsolved_laplace_problem(tmp_path):
-    wall = tube(tmp_path, size=0.4, length=0.4)
+    wall = tube_wall(tmp_path, size=0.4, length=0.4)
     options = {"ksp_type": "cg", "pc_type": "none", "ksp_max_it": 1}
     with (
         inserted("fibres_", options),
