@@ -27,6 +27,18 @@ function that returns columns U_i of each subdomain, (n_{Γ,i}, any number), as 
 changes: owners, blocks and matrices follow from the widths of the U_i. An option for such columns
 is a field of ``options.FETIOptions``, which ``Pattern.options`` has.
 
+**Columns in place of E** change more, because these parts rely on the span of V containing E:
+
+- ``adaptive`` gets K⁺ as S_ρ⁻¹. They are equal only for forces F with Eᵀ F = 0, which U₀ = E
+  ensures. Without E, pass S_ρ⁻¹ itself, or leave out adaptive columns.
+- ``primal.soft_fields`` applies K⁺ instead of K_ρ⁻¹. The difference lies in the span of E.
+- The check for mechanisms (``primal.formulation``) looks for fields of zero energy in the span of
+  V.
+- A₀ is made regular along a given null space of A only if the span of V contains it.
+
+In all cases M remains Tᵀ δ K_ρ⁻¹ δ T: its subdomain solves are not constrained at coarse dofs, as
+those of BDDC and FETI-DP are.
+
 A column has one contributor. Averaging spreads it to the neighbours: the unit vector of a dof in
 one of its copies becomes δ times that of the assembled dof. If several subdomains contributed it,
 their averages would be multiples of one field. That is allowed, but A₀ then has a zero pivot for

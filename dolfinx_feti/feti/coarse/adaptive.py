@@ -117,7 +117,7 @@ def adaptive_columns(
 
 
 def _columns_in_proportion(n: int, max_columns: int) -> int:
-    """Return the largest number of adaptive columns of a subdomain.
+    """Return the largest number of adaptive columns of one subdomain, in proportion to its dofs.
 
     Args:
         n: Number of its interface dofs, n_{Γ,i}.

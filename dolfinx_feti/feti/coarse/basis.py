@@ -125,7 +125,8 @@ class _Averages:
     def values(self, j: int) -> Array:
         """Return T V in each panel row, for column j of its block, (panel rows,). Collective.
 
-        The column is nonzero in one of the copies alone, so that the sum over them has one term.
+        A panel row stands for one copy of the dof of its row, and for the block of that copy's
+        subdomain. The columns of a block are nonzero in this copy alone, so T Tᵀ δ U has one term.
         """
         u = _column_of_each_block(self._copies, self._U, j)
         return self._copies.fetch(self._copies.delta * u)  # δ U
@@ -206,7 +207,8 @@ def _columns_of_subdomains(
     order = order[columns.panel_rows.width[order] > 0]
     panel_rows = columns.panel_rows.select(order)
     values, first_value = _values_of_rows(columns, order, comm)
-    # Where the panel rows of each subdomain begin, and the end, (subdomains + 1,); and its values.
+    # Index of the first panel row of each subdomain, and the end, (subdomains + 1,). The same for
+    # its values.
     row_bounds = np.searchsorted(subdomain[order], np.arange(len(copies.rows) + 1))
     value_bounds = np.append(first_value, len(values))[row_bounds]
 

@@ -7,7 +7,8 @@ r"""The null space of a coarse matrix N, if one is attached to A (``torn.null_sp
 
 with k columns Z_c, (N_c, k), which represent the null vectors of A. :math:`I_k` is the identity on
 k coarse unknowns on which Z_c is regular, and zero on the others. Then :math:`N + θ I_k` is
-regular, and s solves the original system.
+regular, and s solves the original system. N is either coarse matrix; for A₀ the sizes are n_0 and
+N_0 in place of n_c and N_c.
 """
 
 from __future__ import annotations

@@ -6,11 +6,11 @@
 N is either coarse matrix, (N_c, N_c). It is solved in one of three ways (docs/theory.md, *Coarse
 matrices on several processes*):
 
-- *fronts* (``fronts``): the first process of each computer has a Cholesky factor of all of N, and
-  sends the solution to the others, if N is positive definite and its factor not too large;
-- *inverse* (``inverse``): if N is also small, each process has this factor, and computes from it
-  its own rows of N⁻¹, with which it multiplies;
-- *group* (``group``): else each group of processes has a factor of any solver of PETSc.
+- *fronts* (``fronts``), if N is positive definite and its factor not too large: the first process
+  of each computer has a Cholesky factor of all of N, and sends the solution to the others;
+- *inverse* (``inverse``), if N is also small: each process has this factor, computes its own rows
+  of N⁻¹ from it, and multiplies with them;
+- *group* (``group``), otherwise: each group of processes has a factor of any solver of PETSc.
 
 A solve gathers b in one collective call. Fronts need a second one for the solution, and a group
 those of its solver. The first call also sums a number of each process, which saves a Krylov method
@@ -64,9 +64,10 @@ class CoarseFactor(Protocol):
         """
 
     def memory(self) -> float | None:
-        """Return its memory on the first process, and of the rows of an inverse on all, in MiB.
+        """Return the memory of the factor of the first process, and of all rows of N⁻¹, in MiB.
 
-        The memory is None if it is not known. Other processes than the first may return any value.
+        The memory is None if it is not known. Only the value of the first process counts: others
+        may return any.
         """
 
     def destroy(self) -> None:

@@ -88,8 +88,8 @@ class WeightedColumns:
     def multiply_transposed(self, r: Array) -> Array:
         """Return Gᵀ M r, (m,) → (n_c,). Collective."""
         w = (self._M.B_D.T @ r)[self._copies.dofs]  # w = B_Dᵀ r
-        torn_e = concatenate([part.X.T @ w[part.rows] for part in self.by_subdomain])
-        return self._dofmap.scatter_reverse(torn_e)  # Xᵀ w
+        torn_e = concatenate([part.X.T @ w[part.rows] for part in self.by_subdomain])  # Xᵀ w
+        return self._dofmap.scatter_reverse(torn_e)  # Σ C_iᵀ X_iᵀ w_i
 
     def destroy(self) -> None:
         """Free copies and dof map."""

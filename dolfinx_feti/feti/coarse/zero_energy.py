@@ -23,10 +23,11 @@ from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.collective import total_of
 from dolfinx_feti.runtime.lifetime import Lifetime
 
-#: Norm of V s, relative to that with random signs of the entries of s, up to which V s is rounding.
-#: The columns then cancel in V s, and do not with random signs. Rounding leaves some 1e-10. If
-#: dependent columns of 10 000 subdomains make up the norm, a mechanism of one more subdomain still
-#: is 1e-2 of it. A choice between the two.
+#: ‖V s‖/‖V (±s)‖, with random signs of the entries of s, up to which V s is rounding. Dependent
+#: columns cancel in V s, but not with random signs; rounding leaves a quotient of some 1e-10. The
+#: quotient of a mechanism is smallest if many other columns depend on each other: one mechanism
+#: beside 10 000 subdomains with dependent columns has about 1/√10 000 = 1e-2. The bound is a choice
+#: between 1e-10 and 1e-2.
 MAX_CANCELLED_NORM = 1e-5
 
 #: Steps y ← y − A₀⁻¹ A₀ y, which project a random y to the kernel of A₀. The second one removes the

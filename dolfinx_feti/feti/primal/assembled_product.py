@@ -33,9 +33,9 @@ from dolfinx_feti.feti.subdomain.schur_operator import FormedSchurOperator, Schu
 from dolfinx_feti.runtime.arrays import Array, Indices, Single, concatenate
 from dolfinx_feti.runtime.native import load_with_header, pointer
 
-#: ``block(j, rows)`` returns the block of S_j on b of its rows, in any order, (b (b + 1) / 2,).
-#: Subdomains of this process are numbered either on it, or over all processes. Each function that
-#: takes such a block says by which number.
+#: ``block(j, rows)`` returns the block of S_j on b of its rows, in any order, (b (b + 1) / 2,). The
+#: subdomain is one of this process. Its number j counts those of this process in
+#: ``NeighbourBlocks.__init__``, and those of all processes in ``_exchange_blocks``.
 BlockOfSubdomain = Callable[[int, Indices], Array]
 
 

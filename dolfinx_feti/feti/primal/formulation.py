@@ -375,9 +375,9 @@ def _first_vectors(
 
     Returns:
         W and M⁻¹ W; None if no subdomain is softened, if A₀ is not symmetric or not definite, if a
-        null space is attached, or if the options switch deflation off. The fields of a null space,
-        of zero energy, would hide the soft ones, and deflating them costs iterations: 112 in place
-        of 9 for springs that single subdomains, but not their sum, have.
+        null space is attached, or if the options switch deflation off. The fields of a null space
+        have zero energy and would hide the soft ones. Deflating them costs iterations: 112 instead
+        of 9 in a test with springs on single subdomains whose sum is zero.
     """
     count = pattern.options.deflation
     inverse = preconditioner.inverse

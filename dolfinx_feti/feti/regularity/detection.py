@@ -130,9 +130,9 @@ def require_regular(
         is_semidefinite: Whether all K_i are known to be positive semi-definite.
 
     Raises:
-        SingularError: A does not resist some motions, which the message describes; or N has a zero
-            pivot, although no such motion was found.
-        SetUpError: The coarse solver is not accurate.
+        SingularError: A does not resist some motions, which the message describes; or the coarse
+            solver is not accurate because N has a zero pivot, although no such motion was found.
+        SetUpError: The coarse solver is not accurate for another reason.
     """
     rigid = free_motions(torn, bodies, is_semidefinite=is_semidefinite)
     has_unknown_motions = not rigid.lie_in_null_space()
@@ -218,6 +218,8 @@ def require_regular_interior(torn: Torn, bodies: Bodies, kernel: Array) -> None:
 
 def _mechanisms(rigid: RigidMotions, coarse: CoarseMatrix) -> Array:
     """Compute the motions of null vectors of N that are not rigid. Collective.
+
+    With more than ``MAX_MOTIONS − SPARE_VECTORS`` rigid motions none are computed.
 
     Args:
         rigid: Rigid motions that nothing resists.
@@ -316,7 +318,8 @@ def _orthogonal_on_each_body(rigid: RigidMotions, X: Array, r: Array) -> Array:
 def _sums_by_body(rigid: RigidMotions, columns: Array) -> Array:
     """Return the sums of columns, (n, k), over each body, (k, bodies + 1). Collective.
 
-    The last column has the sums over dofs of no body, which are Dirichlet dofs.
+    Row j has the sums of column j. The last entry of a row is the sum over the Dirichlet dofs,
+    which belong to no body.
     """
     bodies = rigid.bodies
     sums = [np.bincount(bodies.label, column, bodies.count + 1) for column in columns.T]

@@ -27,10 +27,10 @@ MAX_DESCRIBED = 3
 MAX_TRANSLATION_VARIANCE = 1e-10
 
 #: Quotient of the largest and the smallest diagonal entry of A above which a message blames small
-#: coefficients. The force of a soft support counts as rounding if it is below about 1e-14 of the
-#: largest diagonal entry. A support with entries of 1e-10 of the largest one goes unnoticed if its
-#: force is below 1e-4 of its entries. That is the case for a void around a large island. With
-#: entries of 1e-8, the force would have to be below 1e-6 of them, which does not occur.
+#: coefficients. A force below about 1e-14 of the largest diagonal entry counts as rounding, and a
+#: soft support with such a force goes unnoticed. At a quotient of 1e10, that is a force below 1e-4
+#: of the support's own diagonal entries, as a void around a large island has. At 1e8 it would be a
+#: force below 1e-6 of them, which does not occur.
 UNEVEN_DIAGONAL = 1e10
 
 #: Decimals of a coordinate relative to the largest one of its point. Smaller parts are rounding

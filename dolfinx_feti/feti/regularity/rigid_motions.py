@@ -162,7 +162,7 @@ def _unresisted_combinations(
     """
     k = fields.shape[1]
     forces_and_motions = np.hstack([matrix.scaled_forces(fields), matrix.scale_motions(fields)])
-    # R has both in one orthonormal basis, so that products of forces and motions are exact.
+    # R has forces and motions in one orthonormal basis: their scalar products are those of R.
     R = r_factors(forces_and_motions, bodies.label, bodies.count, torn.comm)
 
     def combinations() -> list[Array]:

@@ -45,7 +45,10 @@ class ScaledAssembledMatrix:
         self.force_weight = (self.root_share / self.root_diagonal)[:, None]
 
     def diagonal_quotient(self) -> float:
-        """Return the quotient of the largest and the smallest diagonal entry of A. Collective."""
+        """Return the quotient of the largest and the smallest diagonal entry of A. Collective.
+
+        Zero entries are left out: the constructor has replaced them by the mean.
+        """
         comm = self._torn.comm
         smallest = min(comm.allgather(self.root_diagonal.min(initial=np.inf)))
         largest = max(comm.allgather(self.root_diagonal.max(initial=0.0)))

@@ -158,7 +158,7 @@ class _Recurrences:
         self.lanczos = _LanczosRecord(stored_iterations, len(start.x))
         self._z = np.zeros_like(start.x)  # Π M r
         self._rz = np.nan  # rᵀ z
-        self._last_rz = np.inf  # of the step before; makes β = 0 in the first one
+        self._last_rz = np.inf  # rᵀ z of the step before; inf so that the first step has β = 0
         self._p = np.zeros_like(start.x)  # direction
 
     @property

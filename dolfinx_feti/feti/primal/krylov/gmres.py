@@ -112,7 +112,9 @@ class _Iteration:
     def needs_fresh_start(self, stopping: StoppingTest) -> bool:
         """Return True if the basis is full and there is nothing to measure.
 
-        The last column then needs no z. At ``max_it`` iterations the stopping test ends the method.
+        The basis is full after ``max_k`` iterations. If ``max_k`` equals ``max_it``, the stopping
+        test ends the method instead. If ‖r‖ has met its target, η has yet to be measured. Otherwise
+        the last column needs no z.
         """
         is_full = self.its == self._max_k < stopping.max_it
         return is_full and stopping.target < self.norm < np.inf
