@@ -13,10 +13,11 @@ under a hundredth more; or with --path P all Newton steps up to P mmHg:
 
 `peak_mib` is the peak of the memory that a solver took above the matrices, summed over the
 processes. With --rounds the solvers take turns, and the record has the round with the median time.
---per varies the dofs of a subdomain; `seconds_cpu` of FETI is then processor time, the least of all
-rounds. A solver that fails is recorded with the reason; `ulimit -d KIB` limits its memory. Run the
-study on two processes, and on one with OMP_NUM_THREADS=2: the page takes the better layout of each
-solver. PETSc's options have the prefixes `tube_`, `vessel_`, `body_` (FETI), `mumps_`, `gamg_`, …
+--per varies the dofs of a subdomain, with FETI alone; `seconds_cpu` is then its processor time, the
+least of all rounds. A solver that fails is recorded with the reason; `ulimit -d KIB` limits its
+memory. Run the study on two processes, and on one with OMP_NUM_THREADS=2: the page takes the better
+layout of each solver. PETSc's options have the prefixes `tube_`, `vessel_`, `body_` (FETI),
+`mumps_`, `gamg_`, …
 """
 
 from __future__ import annotations

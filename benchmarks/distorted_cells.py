@@ -151,7 +151,7 @@ def _run(case: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
             (1, facets(wall, "symmetry_y")),
             *_sliding_ends(way, wall),
         ],
-        degree=way.quadrature // 2,
+        degree=way.quadrature // 2,  # sets the quadrature only: the element is given below
         element=quadratic_with_bubbles("tetrahedron") if way.has_bubbles else element,
         pressures=way.pressures,
     )

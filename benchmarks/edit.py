@@ -1,16 +1,16 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What an edit of a material costs, from its text to an equilibrium.
+"""Time from an edit of a material's energy to an equilibrium: compilation and solve.
 
     python3 -m benchmarks.edit --json build/edit.json
 
 Each edit changes a number in the energy, so that no cache has its forms. Seconds are processor
 time, including that of the C compiler. The body is a block of 960 tetrahedra (P2), clamped on one
-side and pulled by a body force. This package solves it twice for each edit, and so does dolfinx's
-own problem with MUMPS. Before the first edit one more edit compiles the code that all energies
-share. This package condenses the two further fields of the three-field energy; dolfinx solves for
-them.
+side and pulled by a body force. It is solved twice for each edit, by this package and by dolfinx's
+own problem with MUMPS. An edit that is not timed comes first: it compiles the code that all
+energies share. The three-field energy has two more fields, which this package condenses; dolfinx
+solves for them.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ Solve = Callable[[], object]
 #: Relative tolerance of Newton's method, in both packages.
 RTOL = 1e-8
 
-#: Forms that a problem is given, by their key in a record: name and colour in the picture.
+#: By ``given`` of a record, what form the problem is given: name and colour in the picture.
 ROUTES = {
     "dolfinx": ("dolfinx and MUMPS", COLOURS[0]),
     "residual": ("residual given", COLOURS[1]),
@@ -101,7 +101,7 @@ MATERIALS = {
 
 
 def density(material: str, u: Expr, fields: Sequence[Expr]) -> Expr:
-    """Return an edited energy [kPa], with a random digit in c.
+    """Return an edited energy [kPa]: its c differs from 3 kPa by a random number below 1e-6.
 
     Args:
         material: A key of :data:`MATERIALS`.
@@ -119,7 +119,9 @@ def density(material: str, u: Expr, fields: Sequence[Expr]) -> Expr:
 
 
 def problem_of(material: str, given: str, mesh: dolfinx.mesh.Mesh) -> Callable[[], Solve]:
-    """Return a function that edits the energy, compiles its problem and returns a solve from rest.
+    """Return a function that edits the energy and compiles its problem.
+
+    That function returns another one, which solves from rest.
 
     Args:
         material: A key of :data:`MATERIALS`.
@@ -185,7 +187,7 @@ def seconds() -> float:
 
 
 def _run(case: Record, keep: Keep, args: Arguments, _: MPI.Comm) -> None:
-    """Solve twice for each edit, after one more edit that compiles the code of all energies."""
+    """Solve twice for each edit, after an edit that is not timed; see the module."""
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 5, 4, 8)
     edit_and_compile = problem_of(case["material"], case["given"], mesh)
     if case["given"] != "dolfinx":

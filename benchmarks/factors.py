@@ -146,10 +146,11 @@ def measure_multifrontal(
     Args:
         cube: Matrix of the subdomain.
         task: One of :data:`TASKS`.
-        rounds: Number of repetitions, of which the shortest counts.
+        rounds: Number of repetitions; the shortest time counts.
 
     Returns:
-        Factor of K_II, or of K if the interface is kept; S, packed, or nothing; and the times [s].
+        Factor of K_II for ``eliminate``, of K for ``keep``; S, packed, empty for ``keep``; and the
+        times [s].
     """
     fronts, analysis = timed(lambda: find_fronts(cube, task), rounds)
     work = WorkSpace()
@@ -166,7 +167,7 @@ def measure_multifrontal(
 
 
 def measure_mumps(cube: CubeSubdomain, task: str, rounds: int) -> tuple[Factor, Array, Record]:
-    """Factor by MUMPS; arguments and results are those of measure_multifrontal."""
+    """Factor by MUMPS; see :func:`measure_multifrontal` for arguments and results."""
     rows = cube.interior if task == "eliminate" else np.arange(cube.K.getSize()[0], dtype=np.int32)
     options = FactorOptions(DirectOptions("factors_"), True, RIGHT_HAND_SIDES[task])
 

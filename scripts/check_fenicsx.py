@@ -3,7 +3,7 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Check if this Python has the required FEniCSx: exit status, and one line on stderr if not.
 
-Read by `scripts/with-fenicsx` and `scripts/debian-tree`. With the argument `docs`, what `make docs`
+Run by `scripts/with-fenicsx` and `scripts/debian-tree`. With the argument `docs`, what `make docs`
 imports has to be installed, too.
 """
 

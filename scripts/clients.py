@@ -26,8 +26,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = Path(os.environ.get("DOLFINX_FETI_CLIENTS", ROOT / "build/clients"))
 
-#: What is installed as it is. Nothing else is: what these need beside them is in the environment of
-#: scripts/with-fenicsx, and they import the rest only for what is not tested here.
+#: Wheels that are installed without their dependencies. The environment of scripts/with-fenicsx has
+#: the dependencies that the tests need; the others are imported only by code that is not tested.
 WHEELS = (
     "annotated-types==0.8.0",
     "cardiac-geometries-core==1.5.0",
@@ -43,12 +43,13 @@ WHEELS = (
     "rich-click==1.9.9",
     "structlog==26.1.0",
 )
-#: Where pulse's tests are.
+#: Source archive with pulse's tests.
 PULSE = "fenicsx-pulse==0.12.0"
-#: Its C++ part cannot be compiled against the wheel of dolfinx; its Python part is taken.
+#: Source archive of scifem. Its C++ part cannot be compiled against the wheel of dolfinx; only its
+#: Python part is installed.
 SCIFEM = "scifem==0.27.0"
 
-#: In the place of scifem's C++ part: with dolfinx 0.11, pulse calls none of it.
+#: Module in place of scifem's C++ part, of which pulse calls nothing with dolfinx 0.11.
 STUB = '''"""Names of scifem's C++ part, which is not built."""
 
 
@@ -62,6 +63,7 @@ def __getattr__(name):
     return missing
 '''
 
+#: All of pulse's tests of a left ventricle.
 TESTS = "test_static_problem.py::test_static_problem_lv"
 #: Both materials, loaded by pressure and by volume, with rigid motions held by multipliers or
 #: springs, in metres and in millimetres; each choice occurs in two of the four.
@@ -71,7 +73,7 @@ ON_ONE_PROCESS = (
     "Incompressible-pressure-True-geo_no_flat_base_m-fixed",
     "Incompressible-volume-False-geo_flat_base_mm-free",
 )
-#: What pulse makes of a solve that fails, with and without ``raise_on_failure``.
+#: How pulse reports a solve that fails, with and without ``raise_on_failure``.
 FAILURES = (
     "test_solve_convergence_reporting.py::test_failed_solve_returns_false_instead_of_raising",
     "test_solve_convergence_reporting.py::test_raise_on_failure_argument_restores_the_exception",
@@ -86,7 +88,7 @@ NOT_AVAILABLE = 125
 
 
 def pip(*arguments: str | Path) -> None:
-    """Run pip, or leave with a message that names what could not be had."""
+    """Run pip, or exit with a message that shows its output."""
     command = [sys.executable, "-m", "pip", *map(str, arguments)]
     result = subprocess.run(
         [*command, "--disable-pip-version-check", "--quiet", "--no-deps"],

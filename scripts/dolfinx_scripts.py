@@ -6,11 +6,12 @@
 FENICSX_SUITE=pip scripts/with-fenicsx python3 scripts/dolfinx_scripts.py SCRIPT…
 
 In each script, which runs unchanged in a process of its own, ``LinearProblem`` and
-``NonlinearProblem`` of ``dolfinx.fem.petsc`` solve twice: by FETI on DOLFINX_FETI_SUBDOMAINS
-subdomains (8), as the default would be one for meshes of some 2000 dofs and FETI without an
-iteration; and as dolfinx does, by LU. A problem that is refused keeps the script's options.
-Missing packages for pictures are replaced by objects that do nothing. The exit status is 1 if
-solutions differ, or if a script that was compared took no FETI iteration.
+``NonlinearProblem`` of ``dolfinx.fem.petsc`` solve twice: by FETI, and by LU as dolfinx does. FETI
+has DOLFINX_FETI_SUBDOMAINS subdomains (8): with the default, meshes of up to some 2000 dofs would
+have a single one, and FETI would not iterate. If this package refuses a problem, dolfinx alone
+solves it, with the script's options. Missing packages for pictures are replaced by objects that do
+nothing. The exit status is 1 if solutions differ, or if a script that was compared took no FETI
+iteration.
 """
 
 from __future__ import annotations
@@ -28,17 +29,17 @@ from unittest.mock import MagicMock
 
 SUBDOMAINS = int(os.environ.get("DOLFINX_FETI_SUBDOMAINS", "8"))
 
-#: Most that ‖u − v‖/‖v‖ may be. Both packages solve linear systems to 1e-8 or better; conditions of
-#: 1e3 still pass at this bound.
+#: Largest accepted ‖u − v‖/‖v‖ of FETI's u and dolfinx's v. Both packages solve linear systems to
+#: 1e-8 or better; with condition numbers up to 1e3 the solutions still meet this bound.
 MAX_DIFFERENCE = 1e-5
 
 #: How dolfinx solves: the answer is then accurate to rounding times the condition number.
 DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 
-#: How dolfinx's Newton method ends: late, so that what is compared is FETI's accuracy.
+#: Tolerances of Newton's method in both packages. They are tight, so that FETI's accuracy shows.
 NEWTON = {"snes_rtol": 1e-10, "snes_atol": 1e-12}
 
-#: Of a refusal, what the table shows.
+#: Characters of a message that the table shows.
 MESSAGE_WIDTH = 100
 
 #: Packages that the tutorial's scripts draw pictures and tables with.

@@ -28,11 +28,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "build/tests"
 
-#: Seconds in which other processes may end a test that one has failed, and between two lines.
+#: Seconds that other processes have to finish a test that one process has failed.
 GRACE = float(os.environ.get("DOLFINX_FETI_TEST_GRACE", "30"))
+#: Seconds between two lines of progress.
 MINUTE = 60.0
 
-#: An interrupted compilation leaves a source for which all later ones wait; older ones are dead.
+#: Age in seconds from which a source without its compiled form counts as left by an interrupted
+#: compilation. Later runs would wait for it.
 COMPILATION = 600.0
 
 

@@ -184,7 +184,7 @@ def create_body(
             there is in a lumen whose ends slide along the axis. That of a force is always used.
         axis: Axis of the lumen.
         settings: Further arguments of the problem.
-        solid_settings: Further arguments of :func:`create_solid`.
+        solid_settings: Further arguments of :func:`create_solid`; ``kappa`` is required.
     """
     load_factor = dolfinx.fem.Constant(mesh, 0.0)
     solid = create_solid(
@@ -359,7 +359,11 @@ def facets_in_plane(mesh: dolfinx.mesh.Mesh, axis: int, coordinate: float) -> In
 
 
 def displacement_at(u: dolfinx.fem.Function, point: Sequence[float]) -> Array:
-    """Return the displacement of the node at a point [mm], (3,), on all processes. Collective."""
+    """Return the displacement of the node at a point [mm], (3,), on all processes. Collective.
+
+    Raises:
+        IndexError: No node is there.
+    """
     V = u.function_space
     is_node = np.linalg.norm(V.tabulate_dof_coordinates() - point, axis=1) < 1e-6
     of_processes = V.mesh.comm.allgather(u.x.array.reshape(-1, 3)[is_node])

@@ -79,16 +79,16 @@ class Stopwatch:
         ksp.setPostSolve(after)
 
     def each(self) -> Array:
-        """Return the seconds of set-up and solution of each solve, (solves, 2). Collective.
+        """Return the wall time of set-up and solution of each solve, (solves, 2) [s]. Collective.
 
-        They are those of the slowest process.
+        It is that of the slowest process.
         """
         return self._over_all(0, MPI.MAX)
 
     def processor(self) -> Array:
-        """Return the processor time of set-up and solution of each solve, (solves, 2). Collective.
+        """Return the processor time of set-up and solution of each solve, (solves, 2) [s].
 
-        It is summed over the processes.
+        It is summed over the processes. Collective.
         """
         return self._over_all(1, MPI.SUM)
 

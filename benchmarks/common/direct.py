@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Newton's method of dolfinx alone, with MUMPS: the opponent that shares no solver with FETI."""
+"""Newton's method of dolfinx with MUMPS: a reference that shares no solver with this package."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ def create_newton(
         bcs: Dirichlet conditions.
         rtol: Relative tolerance of the residual.
     """
-    own = dolfinx.fem.petsc.NonlinearProblem
+    own = dolfinx.fem.petsc.NonlinearProblem  # since dolfinx 0.10 it has a SNES
     if hasattr(dolfinx.fem.petsc, "NewtonSolverNonlinearProblem"):
         options = {"snes_rtol": rtol, "snes_linesearch_type": "none", **MUMPS}
         options |= {"snes_error_if_not_converged": True}
         prefix = f"direct_{random.randrange(10**9)}_"
         solve = own(F, u, bcs=bcs, petsc_options_prefix=prefix, petsc_options=options).solve
-        for name in options:  # that dolfinx has left to all
+        for name in options:  # dolfinx leaves them in the global database
             PETSc.Options(prefix).delValue(name)
         return solve
     newton = dolfinx.nls.petsc.NewtonSolver(u.function_space.mesh.comm, own(F, u, list(bcs)))

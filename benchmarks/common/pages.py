@@ -52,15 +52,16 @@ END = "<!-- end -->"
 MAX_ROWS = 8
 MAX_CELLS = 30
 
-#: Formats of values: a whole number in groups of three digits, four digits, a share in two digits,
-#: the deviation of a quotient from one, a share, an order of magnitude, and a verdict.
+#: Formats of values by name, in addition to those of Python.
 FORMS: dict[str, Callable[[Any], str]] = {
-    "count": lambda value: f"{value:,.0f}".replace(",", " "),
-    "number": lambda value: f"{value:.4g}",
-    "percent": lambda value: f"{100 * value:.2g} %",
-    "off": lambda value: f"{100 * (value - 1):+.1f} %".replace("-", "−"),
-    "share": lambda value: f"{100 * value:.1f} %",
-    "short": lambda value: f"{value:.0e}".replace("e-0", "e-"),
+    "count": lambda value: f"{value:,.0f}".replace(",", " "),  # 12 345
+    "number": lambda value: f"{value:.4g}",  # four digits
+    "percent": lambda value: f"{100 * value:.2g} %",  # 0.123 as 12 %
+    "off": lambda value: f"{100 * (value - 1):+.1f} %".replace(
+        "-", "−"
+    ),  # a quotient: 0.95 as −5.0 %
+    "share": lambda value: f"{100 * value:.1f} %",  # 0.123 as 12.3 %
+    "short": lambda value: f"{value:.0e}".replace("e-0", "e-"),  # order of magnitude: 1e-8
     "yes": lambda value: "yes" if value else "**no**",
 }
 

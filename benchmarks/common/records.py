@@ -44,7 +44,7 @@ class Records:
             path: JSON file, which the first process reads and writes; None for none.
             comm: Communicator.
             known: Returns True for a record of the study.
-            writer: Name of the study, for messages.
+            writer: Name of the study's page, for messages.
 
         Raises:
             ValueError: The file cannot be written, or holds something else. On all processes.
@@ -114,7 +114,7 @@ def describe_machine() -> dict[str, str | int]:
     """Return the processors, the memory [GiB], and the versions of Python, dolfinx and PETSc."""
     names: list[str] = []
     memory = 0
-    with suppress(OSError, ValueError):  # this is Linux
+    with suppress(OSError, ValueError):  # systems other than Linux lack these
         names = re.findall(r"model name\s*:\s*(.*)", Path("/proc/cpuinfo").read_text())
         memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     return {

@@ -173,7 +173,10 @@ def _compared_rows(cases: Sequence[Sequence[Record]]) -> list[dict[str, Any]]:
 
 
 def _compared_row(case: Sequence[Record]) -> dict[str, Any] | None:
-    """Return a row with FETI's faster layout and the best other solver, or None without both."""
+    """Return a row with FETI's faster layout and the best other solver, or None without both.
+
+    The values of the other solver have names that begin with ``other_``.
+    """
     feti = _best(case, "feti")
     other = _best(case, *(name for name in OPPONENTS if name != "feti"))
     if feti is None or other is None:

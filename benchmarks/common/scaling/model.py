@@ -17,11 +17,14 @@ n_c coarse solves in an iteration, as counted on the most processes,
     β = \left\lceil \frac{S}{P} \right\rceil \frac{P}{S}
     \left( 1 + σ \sqrt{2 \ln P\, P / S} \right) γ, \qquad γ = \max(1, p / p_b) .
 
-β is that of P processes over that of the measured ones: the unevenness of whole subdomains, the
-wait for the process with the most work, and the bus that p = min(P, p_n) processes of a node share.
+Of S subdomains, β has three factors: processes with ⌈S/P⌉ whole subdomains have more than an even
+share, all wait for the process with the most work, and p = min(P, p_n) processes of a node share a
+bus. In these times β is divided by that of the measured run. The numbers of the cluster (α, W, V,
+p_n, p_b, R, D) and σ are the constants below.
 A coarse matrix of K unknowns, with L entries in its factor and Φ operations to make it, is solved
-as ``coarse.gathered`` does: by its inverse, of which six rows take the time of a solve, or by a
-factor on every node, or above 2²⁶ entries on every c = ⌈K/4000⌉ processes,
+as :mod:`dolfinx_feti.feti.coarse.solver` does. Up to K = 128 P each process keeps rows of the
+inverse; computing six rows takes as long as one solve. Above that a factor is used: one on each
+node (c = 1), or, with more than 2²⁶ entries, one for every c = ⌈K/4000⌉ processes,
 
 .. math::
 
@@ -29,11 +32,12 @@ factor on every node, or above 2²⁶ entries on every c = ⌈K/4000⌉ processe
     \quad 2 \cdot 8\, K / W + 16\, L / (c V) \text{ above}, \qquad
     t_{coarse} = β\, t_1 / P + Φ / (c R) + \frac{K}{6 P} \frac{16\, γ L}{V} .
 
-Beyond S processes there are as many subdomains as processes; K grows with them, L as K ln K and Φ
-as K^{3/2}, those of a wall, which is nearly two-dimensional. Of reading, the file's bytes take
-their time at D, mesh and tags t_1 / P, what two processes take beyond that log₂ P times as long,
-and what it sends was counted. What a load step of a tiny wall takes does not shrink. A mesh with ρ
-times the dofs in each subdomain takes ρ times the work, and ρ^{2/3} times the bytes.
+Beyond S processes there are as many subdomains as processes. K grows with their number, L as K ln K
+and Φ as K^{3/2}, as for a nearly two-dimensional body, which a wall is. Reading has four parts: the
+bytes of the file at the bandwidth D; the work on mesh and tags, t_1 / P; what two processes need in
+addition to one, times log₂ P; and the messages, which were counted. The time of a load step of a
+tiny wall is a part that does not shrink. A mesh with ρ times the dofs in each subdomain takes ρ
+times the work, and ρ^{2/3} times the bytes.
 """
 
 from __future__ import annotations
@@ -98,7 +102,7 @@ COARSE = PARTS[6:8]
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """The model with its numbers."""
+    """The model, and the records that its numbers come from."""
 
     base: Record  # of the measured case on the fewest processes
     two: Record  # on two, or the most below that
@@ -154,7 +158,12 @@ class Model:
         return seconds | {name: sum(seconds[n] for n in names) for name, names in sums.items()}
 
     def _slowed(self, P: int, scatter: float) -> float:
-        """Return the time of the work over that of an even share of it on an idle node."""
+        """Return β: the time of the work over that of an even share of it on an idle node.
+
+        Args:
+            P: Number of processes.
+            scatter: σ, standard deviation of the work of a subdomain over its mean.
+        """
         each = max(self.base["subdomains_in_all"], P) / P
         waiting = 1.0 + scatter * math.sqrt(2.0 * math.log(P) / each)
         return math.ceil(each) / each * waiting * _bus(P)
@@ -180,7 +189,16 @@ def _bus(P: int) -> float:
 
 
 def _coarse(K: float, L: float, flops: float, P: int) -> tuple[float, float, float]:
-    """Return the seconds of gathering, of a solve, and of a set-up, on P processes."""
+    """Return the seconds of gathering, of a solve, and of a set-up, on P processes.
+
+    Numbers have 8 bytes; a solve reads the factor twice, forwards and backwards.
+
+    Args:
+        K: Coarse unknowns.
+        L: Entries of the factor.
+        flops: Φ, operations that make it.
+        P: Number of processes.
+    """
     stream = STREAM / _bus(P)
     group = 1 if L <= MAX_FRONT_ENTRIES else min(P, max(1, math.ceil(K / ROWS_PER_PROCESS)))
     make = flops / (group * RATE)

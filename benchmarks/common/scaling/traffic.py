@@ -31,6 +31,11 @@ SOURCE = Path(__file__).with_name("traffic.c")
 #: Names of the counters; ``traffic.c`` says what counts.
 COUNTERS = ("messages", "bytes", "neighbours", "reductions", "contributed", "others")
 
+# Parameters that several functions share: send and receive buffer (_B, _RB), destination (_TO),
+# receive buffer with an operation (_OP), buffers with counts and displacements for each process
+# (_BV, _RBV). Then statements that count a collective call by what this process puts in: its buffer
+# unless it is MPI_IN_PLACE (_OWN), always its buffer (_ALL), a message to each neighbour
+# (_NEIGHBOURS).
 _B = "const void *b, N n, MPI_Datatype t"
 _RB = "void *rb, N rn, MPI_Datatype rt"
 _TO = "int to, int tag, MPI_Comm c"
@@ -128,7 +133,14 @@ def compile_library(folder: Path) -> Path:
 def _functions(
     table: tuple[tuple[str, str, str], ...], ending: str, count: str, displacement: str
 ) -> Iterator[str]:
-    """Write functions that call the true ones and count."""
+    """Yield C functions that call those of MPI (``PMPI_…``) and count, one on each line.
+
+    Args:
+        table: Names, parameters and counting statement of functions, as in :data:`FUNCTIONS`.
+        ending: Ending of the names, empty or ``_c``.
+        count: C type of counts.
+        displacement: C type of displacements.
+    """
     types = {"N": count, "D": displacement, "R": "MPI_Request *r"}
     for names, parameters, counted in table:
         typed = re.sub(r"\b[NDR]\b", lambda found: types[found[0]], parameters)
@@ -143,8 +155,8 @@ def _functions(
 def counted(work: Callable[[], object], comm: MPI.Comm) -> Array:
     """Do some work; return the counters of each process, (processes, counters). Collective."""
     (named,) = (word for word in os.environ["LD_PRELOAD"].split(":") if "libtraffic" in word)
-    library = ctypes.CDLL(named)
-    values = np.zeros(len(COUNTERS))  # loaded before the program
+    library = ctypes.CDLL(named)  # already in the process: LD_PRELOAD has loaded it
+    values = np.zeros(len(COUNTERS))
     library.traffic_reset()
     work()
     library.traffic_read(values.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))

@@ -8,6 +8,10 @@ the case as JSON, and reads the record from the file. A run either *measures* th
 mmHg, or *counts*. To count, it sets up the tangent at rest once, and solves with a few iterations
 and with more of them. The difference is what an iteration sends. It depends neither on the machine
 nor on how many processes share a core.
+
+The case has the keys that :mod:`benchmarks.scaling` yields (``task``, ``geometry``, ``size``,
+``layers``, ``degree``, ``kappa``, ``choices``, ``type``, ``pc``, ``subdomains``), and the
+``folder`` of the meshes.
 """
 
 from __future__ import annotations

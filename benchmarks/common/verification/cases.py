@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The cases: bodies, their loads, what is measured, and its published value.
+"""Published cases: bodies and loads, measured quantities, and their published values.
 
 A new case is an entry of :data:`CASES`, and a function that builds its body on a communicator at a
 refinement n. It is then a choice of ``--case`` and has rows on the page.

@@ -150,13 +150,16 @@ def constant(pair: str, cells: int) -> Record:
     nonzero = λ[λ > ZERO_EIGENVALUE]
     return {
         "beta": float(np.sqrt(nonzero[0])),
-        "spurious": len(λ) - len(nonzero) - 1,  # the constant has a mean
+        "spurious": len(λ)
+        - len(nonzero)
+        - 1,  # without the constant pressure, whose mean is not zero
         "displacements": len(free),
         "pressures": len(λ),
     }
 
 
 def _assembled(form: ufl.Form) -> scipy.sparse.csr_array:
+    """Return the matrix of a bilinear form on one process."""
     M = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(form))
     M.assemble()
     K = scipy.sparse.csr_array(M.getValuesCSR()[::-1], shape=M.getSize())

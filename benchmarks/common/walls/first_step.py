@@ -166,7 +166,7 @@ def partition(wall: Wall, subdomains: int, contact: str) -> Indices:
 
 
 def _nearest_points(V: dolfinx.fem.FunctionSpace, points: Indices) -> Indices:
-    """Return the first of some nodes of V and those nearest to it, POINTS in all."""
+    """Return POINTS of some nodes of V: the first one, and those nearest to it."""
     X = V.tabulate_dof_coordinates()[points]
     order = np.argsort(np.linalg.norm(X - X[:1], axis=1), kind="stable")
     return points[order[:POINTS]]

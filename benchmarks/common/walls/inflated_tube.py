@@ -38,9 +38,12 @@ from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.wall import Wall, by_layer, facets
 from dolfinx_feti.wall.fibres import ANGLES
 
-QUADRATURE = 4  # degree
-STANDARD = 0.09  # mm
-GROWTH = 8.0  # of the thickness of curved cells through the media
+#: Degree of the quadrature at whose points errors are measured.
+QUADRATURE = 4
+#: Length of the elements' edges to which the numbers of bricks refer [mm].
+STANDARD = 0.09
+#: Thickness of the outermost bricks of the media over that of the innermost ones.
+GROWTH = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +192,8 @@ def create_inflated_tube(wall: Wall, *, element: str = "p2-p0", **settings: obje
     Args:
         wall: A wall of :func:`create_slice` with the same element.
         element: A key of :data:`ELEMENTS`.
-        settings: Further arguments of :func:`create_wall_problem`.
+        settings: Further arguments of :func:`create_wall_problem`; ``kappa`` and ``subdomains``
+            are required.
     """
     mesh = wall.mesh
     kind = ELEMENTS[element]
@@ -242,7 +246,12 @@ def _helices(wall: Wall) -> tuple[Expr, Expr]:
 
 
 def residual_part(wall: Wall, layers: Sequence[Layer]) -> Expr:
-    """Return G of the media and the adventitia, which open when they are cut, at each point."""
+    """Return G, the deformation without energy of media and adventitia, at each point.
+
+    Args:
+        wall: Mesh and tags.
+        layers: Media and adventitia with their opening angles and stretches.
+    """
     r, e_r, e_t = _polar(wall.mesh)
     values = [((part.inner + part.outer) / 2, part.opening, part.stretch) for part in layers]
     middle, angle, stretch = (

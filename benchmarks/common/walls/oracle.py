@@ -63,7 +63,16 @@ LAYERS = (Layer(0.71, 0.97, 29.0), Layer(0.97, 1.10, 62.0))
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """Parameters of W [kPa, kPa, -, kPa]; κ = ∞ is the incompressible tube; λ_z."""
+    """Parameters of the wall's energy W, its layers, and its axial stretch.
+
+    Attributes:
+        c: Stiffness of the matrix material [kPa].
+        k1: Stiffness of the fibres [kPa].
+        k2: Exponent of the fibres.
+        kappa: κ [kPa]; ∞ for an incompressible tube.
+        layers: From the inside.
+        stretch: λ_z.
+    """
 
     c: float = 3.0
     k1: float = 2.3632
@@ -112,7 +121,7 @@ def inflate(pressure: float, wall: Wall) -> Tube:
     solutions = _integrate(pressure, wall, r_i, dense=True)
 
     def at(R: float) -> tuple[float, float, float, float]:
-        """λ_r, λ_θ, P_rR, P_θΘ."""
+        """Return λ_r, λ_θ, P_rR and P_θΘ at R."""
         layer = _layer_at(wall, R)
         r, RP = solutions[wall.layers.index(layer)].sol(R)
         stretch_r, P_t = _radial(wall, layer, R, r / R, RP / R)

@@ -28,14 +28,14 @@ from dolfinx_feti.wall.fibres import ANGLES, fibre_families, fibre_frame
 
 INTERFACE = INNER_RADIUS + MEDIA  # mm, between the layers of the tube
 
-#: Length of a clamped tube [mm], and its displacement dofs over the squared number of its elements
-#: along the axis, by degree.
+#: Length of a clamped tube [mm].
 LENGTH = 3.0
+#: Displacement dofs of this tube over the squared number of elements along its axis, by degree.
 DOFS_ALONG = {1: 18.0, 2: 125.0}
 
-#: Length of the elements' edges [mm] of a vessel, and its displacement dofs at this length, by
-#: degree.
+#: Length of the elements' edges of a vessel whose number of dofs is known [mm].
 SIZE = 2.0
+#: Displacement dofs of this vessel, by degree.
 DOFS = {1: 11_000, 2: 71_430}
 
 #: |J_τ − 1| above which an element counts into ``share_J``.
@@ -54,7 +54,7 @@ def create_wall_problem(
     supports: Sequence[Support] | None = None,
     **further: object,
 ) -> Body:
-    """Tear a wall at rest, with a pressure in its lumen. Collective.
+    """Build the torn problem of a wall at rest, with a pressure in its lumen. Collective.
 
     Args:
         wall: Mesh and tags.
@@ -66,7 +66,7 @@ def create_wall_problem(
         volume_tolerance: Bound of |mean J − 1| of each cell, met by multipliers in place of a
             large κ; None without.
         supports: Components and facets with u = 0; all components on all openings if None.
-        further: Arguments of ``create_body``.
+        further: Further arguments of ``create_body``; ``degree`` and ``kappa`` [kPa] among them.
     """
     artery = materials.ArteryParameters()
     a1, a2 = fibres or fibre_families(wall, fibre_frame(wall))
@@ -134,7 +134,8 @@ def tube_fibres(mesh: dolfinx.mesh.Mesh) -> tuple[dolfinx.fem.Function, dolfinx.
 def volume_ratios(u: dolfinx.fem.Function) -> Array:
     """Return J_τ, the mean of det F over τ, of the owned cells τ, (n_cells,). Collective.
 
-    The pressure, constant in each cell, holds it near one; det F at a point is free in P2.
+    A pressure that is constant in each cell keeps J_τ near one. With P2, det F still varies inside
+    each cell.
     """
     mesh = u.function_space.mesh
     q = ufl.TestFunction(dolfinx.fem.functionspace(mesh, ("DG", 0)))
@@ -148,7 +149,10 @@ def volume_ratios(u: dolfinx.fem.Function) -> Array:
 
 
 def summarise(J: Array, comm: MPI.Comm) -> Record:
-    """Return least, mean and greatest J_τ, the mean of |J_τ − 1|, and the share of large ones."""
+    """Return least, mean and greatest J_τ, the mean of |J_τ − 1|, and the share above NOTICEABLE.
+
+    Collective.
+    """
     off = np.abs(J - 1.0)
     sums = [len(J), J.sum(), off.sum(), np.count_nonzero(off > NOTICEABLE)]
     count, total, deviation, noticeable = comm.allreduce(np.array(sums, dtype=float)).tolist()
