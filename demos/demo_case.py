@@ -86,7 +86,7 @@ logging.getLogger("dolfinx_feti").setLevel(logging.INFO)  # a line for each load
 with exit_on_errors(parser):
     folder = writable_folder(args.output, comm)
     case, wall, quality = open_case(args.wall, args.mesh, comm, size=args.size, folder=folder)
-    if case.image or case.has_residual_stress or case.cavities:
+    if case.image_pressure or case.has_residual_stress or case.cavities:
         raise ValueError(
             f"{args.wall}: leave out [image], [cavity], opening_angle, axial_stretch; "
             "demo_patient.py has a wall from an image"
@@ -123,7 +123,7 @@ else:
 psi += materials.perturbed_lagrangian(J, p, kappa=1000.0)
 
 with exit_on_errors(parser):
-    boundary = apply_conditions(wall, u, case.conditions, axis=case.axis)
+    boundary = apply_conditions(wall, u, case.conditions, axis=case.prestretch_axis)
     problem = NonlinearProblem(
         psi * ufl.dx,
         u,
@@ -147,10 +147,10 @@ if comm.rank == 0:
 # the rate in the file.
 
 # +
-if case.stretch != 1.0:
-    first = abs(case.stretch - 1.0) / 4
+if case.prestretch != 1.0:
+    first = abs(case.prestretch - 1.0) / 4
     steps = Steps(first=first, least=first / 64, rtol=1e-3)
-    follow_load(problem, boundary.set_stretch, [case.stretch], steps, start=1.0)
+    follow_load(problem, boundary.set_stretch, [case.prestretch], steps, start=1.0)
 
 history = []
 

@@ -156,8 +156,8 @@ def _lattice_points(
     steps = order * counts.around
     whole_angle = np.pi / 2 if quarter else 2 * np.pi
     angles = np.arange(steps + 1 if quarter else steps) * whole_angle / steps
-    z = np.linspace(0.0, length, order * counts.along + 1)
-    r, θ, z = np.meshgrid(radii, angles, z, indexing="ij")
+    positions = np.linspace(0.0, length, order * counts.along + 1)
+    r, θ, z = np.meshgrid(radii, angles, positions, indexing="ij")
     x = np.stack([r * np.cos(θ), r * np.sin(θ), z], axis=-1)
     x[np.abs(x) < ZERO_ATOL] = 0.0
     return np.asarray(x)

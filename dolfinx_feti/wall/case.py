@@ -66,7 +66,7 @@ class Filling:
                     "an impedance"
                 )
             require_positive(**parameters)
-        _check_axis(self.axis)
+        _check_axis("axis", self.axis)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,21 +79,21 @@ class Case:
     conditions: dict[str, tuple[Condition, ...]]
     pressure: float  #: Target [mmHg]; 0 if only cavities have a pressure
     scale: float = 1.0  #: Millimetres in the mesh's unit of length
-    image: float = 0.0  #: Pressure in the wall when its mesh was imaged [mmHg]; 0 at rest
+    image_pressure: float = 0.0  #: Pressure in the wall when it was imaged [mmHg]; 0 at rest
     rate: float | None = None  #: Rate of the pressure [mmHg/s]; None without dashpots
-    axis: str | None = None  #: Axis of the prestretch; None for none
-    stretch: float = 1.0  #: The prestretch [-]
+    prestretch_axis: str | None = None  #: ``"x"``, ``"y"`` or ``"z"``; None without a prestretch
+    prestretch: float = 1.0  #: Axial prestretch [-]
     #: Keyword arguments of ``fibre_frame``: inner, outer, ends, inlet
     fibres: dict[str, Any] = field(default_factory=dict)
     cavities: dict[str, Filling] = field(default_factory=dict)  #: Fillings by surface
 
     def __post_init__(self) -> None:
         """Check the values, and that each has an effect."""
-        require_positive(scale=self.scale, stretch=self.stretch)
-        require_not_negative(image=self.image)
-        _check_axis(self.axis)
-        if self.axis is None and self.stretch != 1.0:
-            raise ValueError(f"stretch={self.stretch}: has no effect without an axis")
+        require_positive(scale=self.scale, prestretch=self.prestretch)
+        require_not_negative(image_pressure=self.image_pressure)
+        _check_axis("prestretch_axis", self.prestretch_axis)
+        if self.prestretch_axis is None and self.prestretch != 1.0:
+            raise ValueError(f"prestretch={self.prestretch}: has no effect without an axis")
         self._check_pressure()
         self._check_rate()
 
@@ -164,10 +164,10 @@ def require_volume_or_windkessel(*, has_volume: bool, has_windkessel: bool) -> N
         raise ValueError("give a volume or a windkessel")
 
 
-def _check_axis(axis: str | None) -> None:
-    """Raise a ValueError if an axis is none of ``AXES`` and not None."""
+def _check_axis(name: str, axis: str | None) -> None:
+    """Raise a ValueError, which names the argument, if an axis is none of ``AXES`` and not None."""
     if axis not in (None, *AXES):
-        raise ValueError(f"axis={axis!r}: choose 'x', 'y', 'z' or None")
+        raise ValueError(f"{name}={axis!r}: choose 'x', 'y', 'z' or None")
 
 
 def _check_names(table: str, part: str, names: Iterable[str], of_wall: Iterable[str]) -> None:

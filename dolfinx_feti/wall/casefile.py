@@ -185,12 +185,12 @@ def _create_case(values: dict[str, Any]) -> Case:
         conditions=conditions,
         pressure=highest_pressure,
         scale=values.get("scale", 1.0),
-        image=values.get("image", {}).get("pressure", 0.0),
+        image_pressure=values.get("image", {}).get("pressure", 0.0),
         rate=values.get("loading", {}).get("rate"),
         fibres=values.get("fibres", {}),
         cavities=cavities,
-        axis=prestretch.get("axis"),
-        stretch=prestretch.get("stretch", 1.0),
+        prestretch_axis=prestretch.get("axis"),
+        prestretch=prestretch.get("stretch", 1.0),
     )
 
 

@@ -85,7 +85,7 @@ class NumberKey:
         first = next(iter(self.units))
         if not first:
             return f"give {bounds}"
-        return f"give {bounds} in {first}, or a text with its unit, {', '.join(self.units)}"
+        return f"give {bounds} in {first}, or a text such as '2 {first}' in {', '.join(self.units)}"
 
     def read(self, value: Any) -> float:
         """Return the number in the first unit."""

@@ -105,8 +105,9 @@ class OpeningAngles:
         self.middle = by_layer(wall, self._middles())
         self.directions = [dolfinx.fem.Function(W) for _ in range(3)]
         depth = (self.potentials.through - self.middle) * self._thickness
-        # lengths in units of ρ₀, so that the curvature is 1 and the depth ρ/ρ₀ − 1
-        λ = residual_stretch(1.0, ufl.exp(self.curvature * depth) - 1, self.angle, stretch)
+        ratio = ufl.exp(self.curvature * depth)  # ρ/ρ₀
+        # in units of ρ₀, a curvature of 1/ρ₀ is 1, and a depth of ρ − ρ₀ is ρ/ρ₀ − 1
+        λ = residual_stretch(1.0, ratio - 1, self.angle, stretch)
         self.G = opening_deformation(self.directions, λ, stretch)
         self.update()
 

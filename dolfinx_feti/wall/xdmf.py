@@ -134,7 +134,7 @@ def _check_shapes(tables: Sequence[Integers], x: Array, element: Any) -> None:
     expected += zip(tables, (nodes, nodes, facet_nodes), strict=True)
     for table, columns in expected:
         if table.ndim != 2 or table.shape[1] != columns:
-            raise ValueError("its tables have other shapes than those of its cells")
+            raise ValueError("its tables of nodes do not suit the type of its cells")
 
 
 def _check_tags(wall: Wall, n_facets: int) -> None:
@@ -160,7 +160,7 @@ def _check_tags(wall: Wall, n_facets: int) -> None:
             is_incomplete = bool(present - named)  # some layers have no name
         if is_incomplete or named - present:
             table = "layers" if tags.dim == 3 else "surfaces"
-            raise ValueError(f"its {table} are not those of its mesh, or of its names")
+            raise ValueError(f"some of its {table} have no name, or are not in its mesh")
 
 
 def write_wall(path: Path | str, wall: Wall) -> None:

@@ -77,9 +77,9 @@ WRONG_VALUES: list[Row] = [
         {
             "pressure": POSITIVE,
             "scale": POSITIVE,
-            "image": NOT_NEGATIVE,
-            "stretch": (*POSITIVE, 1.2),
-            "axis": ("r", 1),
+            "image_pressure": NOT_NEGATIVE,
+            "prestretch": (*POSITIVE, 1.2),
+            "prestretch_axis": ("r", 1),
             "rate": (*POSITIVE, 10.0),
         },
     ),
@@ -241,7 +241,7 @@ def test_arguments_that_need_or_exclude_others_are_refused(create, message):
 def test_arguments_that_fit_each_other_are_accepted():
     """A rate belongs to dashpots, and a stretch to an axis."""
     assert case(conditions=DASHPOT, rate=10.0).rate == 10.0
-    assert case(axis="x", stretch=1.2).stretch == 1.2
+    assert case(prestretch_axis="x", prestretch=1.2).prestretch == 1.2
     assert np.isfinite(LayerMaterial(3.0).k2)
 
 

@@ -17,7 +17,7 @@ boundary.
 """
 
 from dolfinx_feti.wall.conditions.boundary import Boundary, apply_conditions
-from dolfinx_feti.wall.conditions.condition import Condition, Contribution, Surface
+from dolfinx_feti.wall.conditions.condition import Condition, Contribution, SlidingPlane, Surface
 from dolfinx_feti.wall.conditions.prescribed import Clamp, Slide
 from dolfinx_feti.wall.conditions.pressure import Pressure
 from dolfinx_feti.wall.conditions.registry import Conditions, checked_conditions
@@ -32,6 +32,7 @@ __all__ = [
     "Dashpot",
     "Pressure",
     "Slide",
+    "SlidingPlane",
     "Spring",
     "Surface",
     "apply_conditions",
