@@ -11,6 +11,7 @@ function                                          result
 ``bricks.create_brick_tube``,                     a ``Wall`` on all processes, without a file
 ``ellipsoid.create_ellipsoid``
 ``octant.create_octant``, ``cube.create_cube``    a mesh of dolfinx, without layers and surfaces
+``random_lumen.write_random_lumen``               an STL file of a lumen, for ``write_vessel``
 ================================================  ================================================
 
 For a file, ``surface`` and ``remesh`` prepare the lumen, ``layers`` grows columns of prisms on it,
@@ -18,9 +19,10 @@ For a file, ``surface`` and ``remesh`` prepare the lumen, ``layers`` grows colum
 ``bricks`` and ``ellipsoid``.
 
 A new geometry of bricks is a file like ``ellipsoid``: points and numbers of a lattice become
-``WallArrays``, which ``distribute`` turns into a wall. Layers and surfaces may have any names;
-``tags`` lists the usual ones. A case names a generator, as in ``mesh = "tube"``, if that writes a
-file and is in ``walls.GENERATORS``.
+``WallArrays``, which ``distribute`` turns into a wall. It does not check them: inverted cells have
+a negative quality in ``walls.wall_quality``. Layers and surfaces may have any names; ``tags`` lists
+the usual ones. A case names a generator, as in ``mesh = "tube"``, if that writes a file and is in
+``walls.GENERATORS``.
 
 From the command line::
 

@@ -24,14 +24,18 @@ __all__ = ["improve_tops"]
 #: The 26 directions to the neighbours in a cubic lattice, unit vectors, (26, 3).
 DIRECTIONS = unit(np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)]) - 1.0)
 
-#: Bounds of the distance of a moved top from the lumen, over the thickness: the wall stays about as
-#: thick as it is elsewhere. Choices that were not measured.
+#: Lower bound of the distance of a moved top from the lumen, over the thickness: the wall stays
+#: about as thick as it is elsewhere. A choice that was not measured.
 MIN_DISTANCE = 0.95
+
+#: Upper bound of the same distance, over the thickness. A choice that was not measured.
 MAX_DISTANCE = 1.2
 
-#: First step of a top, over the thickness, and the factor by which steps become shorter. Choices
-#: that were not measured.
+#: First step of a top, over the thickness. A choice that was not measured.
 FIRST_STEP = 0.2
+
+#: Factor by which steps become shorter if none of them improves the quality. A choice that was not
+#: measured.
 STEP_FACTOR = 0.6
 
 #: Wanted quality of a column, over the median of all columns. A choice that was not measured.

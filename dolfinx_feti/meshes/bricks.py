@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The two-layer tube of bricks, with straight edges or with curved ones, without a file.
+"""The two-layer tube of bricks, whole or cut into tetrahedra, without a file.
 
 Node (i, j, k) of a lattice is the i-th through the wall, the j-th around and the k-th along; all
 nodes lie on circles. Layers, surfaces and lengths are those of :mod:`dolfinx_feti.meshes.tube`.

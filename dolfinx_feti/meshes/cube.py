@@ -56,8 +56,8 @@ def create_cube(comm: MPI.Comm, subcubes: int, cells: int) -> tuple[dolfinx.mesh
 
     Args:
         comm: Communicator of the mesh; each process gets consecutive subcubes.
-        subcubes: Number of subcubes along an edge of the cube.
-        cells: Number of cubic cells along an edge of a subcube.
+        subcubes: Number of subcubes along an edge of the cube, 1 or more.
+        cells: Number of cubic cells along an edge of a subcube, 1 or more.
 
     Returns:
         The mesh, and the number of the subcube of each owned tetrahedron, (n_cells,).

@@ -31,8 +31,11 @@ from dolfinx_feti.wall.wall_arrays import WallArrays, create_on_root, distribute
 
 __all__ = ["LONG", "THICKNESS", "create_ellipsoid", "ellipsoid_fibre"]
 
-#: Half axes of the inner surface [mm]: problems 2 and 3 of Land et al. 2015.
+#: Shorter half axis of the inner surface [mm], across the ventricle: problems 2 and 3 of S. Land et
+#: al., *Verification of cardiac mechanics software*, Proceedings of the Royal Society A 471, 2015.
 SHORT = 7.0
+
+#: Longer half axis of the inner surface [mm], from the centre to the apex; from the same problems.
 LONG = 17.0
 
 #: Thickness of the wall along the axes [mm].
@@ -62,8 +65,8 @@ def create_ellipsoid(comm: MPI.Comm, n: int, through: int | None = None) -> Wall
 
     Args:
         comm: Communicator of the mesh.
-        n: The refinement: 8 n bricks around, 4 n from the apex to the base.
-        through: Bricks through the wall; n if not given.
+        n: The refinement, 1 or more: 8 n bricks around, 4 n from the apex to the base.
+        through: Bricks through the wall, 1 or more; n if not given.
     """
     n_through = n if through is None else through
     arrays = create_on_root(lambda: _create_arrays(n, n_through), comm)
@@ -119,6 +122,7 @@ def _create_arrays(n: int, through: int) -> WallArrays:
     lumen = [lattice_cells(block[0], 2, simplices=False) for block in numbers]
     base = [lattice_cells(block[:, -1], 2, simplices=False) for block in numbers[1:]]
     facets = {"lumen": np.concatenate(lumen), "base": np.concatenate(base)}
+    # the base is the only opening, so it has the tag of the first one
     names = {"lumen": SURFACE_TAGS["lumen"], "base": SURFACE_TAGS["opening_1"]}
     all_cells = np.concatenate(cells)
     return WallArrays(

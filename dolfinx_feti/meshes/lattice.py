@@ -21,8 +21,10 @@ from dolfinx_feti.runtime.arrays import Array, Numbers
 
 __all__ = ["lattice_cells"]
 
-#: Cells by the dimension of the lattice.
+#: Bricks by the dimension of the lattice.
 BRICKS = {2: basix.CellType.quadrilateral, 3: basix.CellType.hexahedron}
+
+#: Cells that bricks are cut into, by the dimension of the lattice.
 SIMPLICES = {2: basix.CellType.triangle, 3: basix.CellType.tetrahedron}
 
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""An octant of a thick sphere, of curved tetrahedra: prisms over a lattice of triangles.
+"""An octant of a hollow sphere, of curved tetrahedra: prisms over a lattice of triangles.
 
 A triangle with corners (1, 0, 0), (0, 1, 0), (0, 0, 1) is divided evenly and projected to spheres.
 Each prism between two sheets of points is cut into three tetrahedra, along diagonals from the
@@ -33,8 +33,8 @@ def create_octant(
 
     Args:
         comm: Communicator of the mesh.
-        divisions: Elements along an edge of the triangle.
-        through: Elements through the wall.
+        divisions: Elements along an edge of the triangle, 1 or more.
+        through: Elements through the wall, 1 or more.
         inner: Inner radius [mm].
         outer: Outer radius [mm].
 

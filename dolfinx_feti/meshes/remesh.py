@@ -37,10 +37,12 @@ from dolfinx_feti.runtime.arrays import Array, Mask, Numbers
 
 __all__ = ["remesh"]
 
-#: Lengths above which an edge is split and below which it is collapsed, over h: those of Botsch and
-#: Kobbelt. An edge of 4/3 h is as far from h as its halves, 2/3 h; one of 4/5 h is as far from h as
-#: the edges that a collapse extends by half, 6/5 h.
+#: Length over h above which an edge is split: that of Botsch and Kobbelt. An edge of 4/3 h is as
+#: far from h as its halves, 2/3 h.
 SPLIT_LENGTH = 4 / 3
+
+#: Length over h below which an edge is collapsed: that of Botsch and Kobbelt. An edge of 4/5 h is
+#: as far from h as the edges that its collapse extends by half of it, 6/5 h.
 COLLAPSE_LENGTH = 4 / 5
 
 #: Rounds of split, collapse, flip and smooth. A choice that was not measured.
@@ -59,8 +61,10 @@ MIN_COSINE = 0.5
 #: Smallest gain of a flip, in squared valences or in radians: a rounding margin.
 MIN_GAIN = 1e-9
 
-#: Number of edges at a vertex of a regular triangulation, inside and on a rim.
+#: Number of edges at an inner vertex of a regular triangulation.
 REGULAR_VALENCE = 6
+
+#: Number of edges at a vertex on a rim of a regular triangulation.
 REGULAR_RIM_VALENCE = 4
 
 

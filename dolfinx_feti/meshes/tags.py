@@ -16,7 +16,7 @@ __all__ = ["LAYER_TAGS", "SURFACE_TAGS", "layer_tags", "tags_of"]
 #: Tags of the layers of an artery.
 LAYER_TAGS = {"media": 1, "adventitia": 2}
 
-#: Tags of surfaces; opening k has 10 + k.
+#: Tags of surfaces; opening k has 10 + k. There are names for 89 openings; vessels have a few.
 SURFACE_TAGS = {"lumen": 3, "outer": 4, "symmetry_x": 5, "symmetry_y": 6}
 SURFACE_TAGS |= {f"opening_{k}": 10 + k for k in range(1, 90)}
 

@@ -60,9 +60,11 @@ def open_wall(
     Args:
         source: `vessel` or `tube`, or the path of a file.
         comm: Communicator of the mesh.
-        size: Length of the elements' edges [mm]; None for the generator's default.
+        size: Length of the elements' edges [mm]; None for the generator's default. Not used for the
+            path of a file.
         folder: Folder of generated walls.
-        scale: Millimetres in the unit of length of a file.
+        scale: Factor of all coordinates: millimetres in the unit of length of a file, 1 for a
+            generated wall.
 
     Returns:
         The wall, and the quality of its elements.
@@ -87,7 +89,8 @@ def open_case(
         file: A TOML file of a wall (``docs/cases.md``), or None.
         mesh: The source of a wall without a file, as in :func:`open_wall`.
         comm: Communicator of the mesh.
-        size: Length of the elements' edges [mm]; None for the generator's default.
+        size: Length of the elements' edges [mm]; None for the generator's default. Not used if the
+            case or ``mesh`` names a file.
         folder: Folder of generated walls.
 
     Returns:
@@ -144,6 +147,8 @@ def create_tube_wall(
     along: int | None = None,
 ) -> Wall:
     """Create the two-layer tube of :func:`dolfinx_feti.meshes.tube.write_tube` on all processes.
+
+    It passes through a temporary file (:func:`generate_wall`), as the generator is serial.
 
     Args:
         comm: Communicator of the mesh.

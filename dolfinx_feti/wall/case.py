@@ -143,7 +143,7 @@ class Case:
         )
 
     def check(self, wall: Wall) -> None:
-        """Check the names of layers and surfaces against those of the wall.
+        """Check that the wall has all layers and surfaces of the case, and no other layers.
 
         Raises:
             ValueError: The wall has no layer or surface of a name, or the case omits a layer.

@@ -212,6 +212,7 @@ def _create_fillings(tables: dict[str, dict[str, Any]]) -> dict[str, Filling]:
     fillings = {}
     for name, table in tables.items():
         try:
+            # an empty table [cavity.NAME.windkessel] counts as given here; Filling cannot see it
             require_volume_or_windkessel(
                 has_volume="volume" in table, has_windkessel="windkessel" in table
             )

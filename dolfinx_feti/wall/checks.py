@@ -62,7 +62,9 @@ CHECKED_CELLS_AT_ONCE = 10_000
 def check_connectivity(
     mesh_name: object, x: Array, cells: Integers, others: Sequence[Integers], comm: MPI.Comm
 ) -> None:
-    """Check that nodes exist and are finite, and that each cell occurs once. Collective.
+    """Check that nodes exist and are finite, and that cells occur once. Collective.
+
+    A cell with the same node twice is refused, too.
 
     Args:
         mesh_name: Name of the mesh for messages, such as its path.
@@ -72,7 +74,7 @@ def check_connectivity(
         comm: Communicator.
 
     Raises:
-        ValueError: The mesh has no cells, or something is wrong. On all processes.
+        ValueError: The mesh has no cells, or one of the checks fails. On all processes.
     """
     cell_name, facet_name = _plural_names(cells)
     n = comm.allreduce(len(x))
@@ -106,7 +108,7 @@ def check_faces(mesh_name: object, cells: Integers, facets: Integers, comm: MPI.
         comm: Communicator.
 
     Raises:
-        ValueError: Something is wrong. On all processes.
+        ValueError: One of the checks fails. On all processes.
     """
     cell_name, facet_name = _plural_names(cells)
     cell_type = CELLS[cells.shape[1]]
@@ -147,7 +149,7 @@ def check_geometry(mesh_name: object, wall: Wall, *, same_orientation: bool) -> 
             the cells are mirrored. ``write_wall`` may change the order of nodes.
 
     Raises:
-        ValueError: Something is wrong. On all processes.
+        ValueError: One of the checks fails. On all processes.
     """
     comm = wall.mesh.comm
     n = wall.mesh.topology.index_map(3).size_local

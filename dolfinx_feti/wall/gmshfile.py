@@ -87,6 +87,7 @@ def _opened(path: Path) -> Iterator[_GmshFile]:
     gmsh = import_reader("gmsh", path)
     is_running = bool(gmsh.isInitialized())
     if not is_running:
+        # neither the user's options for Gmsh, nor Gmsh's own handler of Ctrl-C
         gmsh.initialize(readConfigFiles=False, interruptible=False)
         gmsh.option.setNumber("General.Terminal", 0)
     gmsh.model.add(str(path))

@@ -3,7 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Laplace problems on a wall, and gradients of their solutions.
 
-PETSc's options with the prefix ``fibres_`` override those of the solver.
+PETSc's options with the prefix ``fibres_`` override those of the solver, also for the potentials of
+``opening_angles``.
 """
 
 from __future__ import annotations

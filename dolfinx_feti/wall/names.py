@@ -56,9 +56,9 @@ def checked_groups(names: Groups) -> list[Group]:
 
 
 def with_default_names(names: Mapping[str, int], tags: Iterable[int], dim: int) -> dict[str, int]:
-    """Return the names of all tags that occur; a tag without one is called ``layer_7``.
+    """Return the names of all tags that occur; a tag without a name is called ``layer_7``.
 
-    A tag 0 without a name gets none.
+    Names of other tags are dropped. The tag 0 gets no such name: it marks nothing.
 
     Args:
         names: Names and their tags.

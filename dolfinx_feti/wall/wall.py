@@ -72,7 +72,7 @@ class Wall:
 
     @property
     def names(self) -> dict[str, int]:
-        """The tags of all layers and surfaces; a layer hides a surface of the same name."""
+        """The tags of all layers and surfaces; a layer precedes a surface of the same name."""
         return self.surfaces | self.layers
 
 
@@ -183,14 +183,15 @@ def extent(mesh: dolfinx.mesh.Mesh) -> tuple[Array, Array]:
 
 
 def plane(wall: Wall, name: str) -> tuple[int, float]:
-    """Return the number of the axis normal to a plane surface, and the coordinate of the plane.
+    """Return axis and coordinate of the plane in which a surface slides, normal to x, y or z.
 
     Args:
         wall: The wall.
         name: The surface.
 
     Returns:
-        The number, 0 to 2, and the coordinate [mm].
+        The number of the axis normal to the plane, 0 to 2, and the coordinate of the plane on it
+        [mm].
 
     Raises:
         ValueError: The wall has no such surface, or it lies in no plane normal to x, y or z.

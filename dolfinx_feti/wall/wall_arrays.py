@@ -89,6 +89,9 @@ def create_on_root(create: Callable[[], WallArrays], comm: MPI.Comm) -> WallArra
 def distribute(arrays: WallArrays, comm: MPI.Comm, *, scale: float = 1.0) -> Wall:
     """Create the distributed mesh and the tags of a wall. Collective.
 
+    The arrays are not checked. ``read_wall`` checks those of a file (``checks``); a mesh generator
+    tests its own.
+
     Args:
         arrays: The wall on the first process, and one without cells and facets on the others, see
             :func:`create_on_root`.

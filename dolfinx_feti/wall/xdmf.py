@@ -145,7 +145,8 @@ def _check_tags(wall: Wall, n_facets: int) -> None:
         n_facets: Number of tagged facets in the file.
 
     Raises:
-        ValueError: They do not. On all processes.
+        ValueError: A tagged facet is not in the mesh, a layer has no name, or a name has no layer
+            or surface. On all processes.
     """
     mesh = wall.mesh
     comm = wall.mesh.comm

@@ -236,10 +236,11 @@ def _evaluate_conditions(
 
 
 def _sum_forms(contributions: Sequence[Contribution], u: dolfinx.fem.Function) -> _Forms:
-    """Return the sum of the energies and residuals of contributions, and its tangent.
+    """Return the sum of the energies and residuals of contributions, without pressures.
 
     Args:
-        contributions: Contributions of all conditions; the shares of pressures are not used.
+        contributions: Contributions of all conditions. :func:`_pressure_forms` has the forms of
+            those with a share of the pressure.
         u: The displacement.
     """
     V = u.function_space

@@ -103,7 +103,10 @@ class Contribution:
     """Contribution of a condition to the equations of a wall; parts that are not given add nothing.
 
     Attributes:
-        bcs: Dirichlet conditions.
+        bcs: Dirichlet conditions. Whether a pressure has a potential is tested once, with these
+            dofs at zero, or where a trial prestretch moves them (``potential``). A condition that
+            prescribes other values of single components on the rim of a surface under pressure may
+            therefore get a wrong potential. All three components may have any values.
         energy: Potential in u [mN mm], negative work of a load for instance; its derivatives are
             added to residual and tangent.
         residual: Internal minus external virtual work of a force without a potential, with a test
@@ -132,10 +135,11 @@ class Condition(ABC):
 
     Attributes:
         CASE_KEYS: Keys of a table ``[surfaces.NAME]`` of a case that concern this kind; empty for a
-            kind that cases do not have. The first key names the kind.
+            kind that cases do not have. Messages call the kind by the first key. Kinds that share a
+            key, such as ``direction``, have to give it the same value.
         NEEDS_BOUNDARY: Whether the condition integrates by ``ds``, which is empty inside the wall.
-        WHY_ALONE: Empty if other conditions are allowed on the same surface. Otherwise the reason,
-            for a message that says "… and another condition, which WHY_ALONE".
+        WHY_ALONE: Empty if other conditions are allowed on the same surface. Any other text forbids
+            them: the end of the message "… and another condition, which WHY_ALONE".
     """
 
     __slots__ = ()

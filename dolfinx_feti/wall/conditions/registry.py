@@ -27,7 +27,7 @@ KINDS: tuple[type[Condition], ...] = (Pressure, Spring, Dashpot, Slide, Clamp)
 
 
 def checked_conditions(conditions: Conditions) -> dict[str, tuple[Condition, ...]]:
-    """Return the conditions of each surface as a tuple, after checks.
+    """Return the conditions of each surface as a tuple, if they are valid.
 
     Raises:
         ValueError: A surface has an object that is no condition, two conditions of one kind, or
