@@ -103,8 +103,8 @@ class ComponentNorms:
         """
         norms = copy(self)
         w_squares = self._energy_weights
-        # (w_d / w_c)², in place of C_cd². It is one for d = c: ‖x_c‖² counts twice in the sum.
-        in_energy = w_squares[None, :] / w_squares[:, None]
+        in_energy = w_squares[None, :] / w_squares[:, None]  # (w_d / w_c)², in place of C_cd²
+        np.fill_diagonal(in_energy, 0.0)  # ‖x_c‖² itself is added to the sum
         norms._coupling_squares = np.where(components[:, None], in_energy, self._coupling_squares)
         return norms
 

@@ -241,6 +241,19 @@ def test_error_estimate_does_not_depend_on_units(unit, body):
         used.destroy()
 
 
+def test_component_without_load_counts_once_in_its_own_size(torn_grid, create_ksp):
+    """Where only this component is not zero, η is ‖z_c‖/‖x_c‖, whatever the energy weights."""
+    problem = torn_grid((2, 2), (3, 3), components=2)
+    ksp = create_ksp(problem.A)
+    solve(ksp, problem, random_values(problem))
+    pattern_torn = ksp.getPythonContext().formulation.pattern.torn
+    load = np.tile([1.0, 0.0], pattern_torn.N // 2)
+    x = np.tile([0.0, 1.0], pattern_torn.N // 2)
+    norms = ComponentNorms(pattern_torn).for_load(load)
+    largest, total = norms.ratios_of_correction(1e-3 * x, [x])
+    equal((largest, total), (1e-3, 1e-3), 1e-15)
+
+
 @every_formulation
 def test_vanishing_component_costs_no_iteration(formulation):
     """In plane strain u_z is zero but for rounding, and needs no accuracy."""
