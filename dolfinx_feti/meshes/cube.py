@@ -11,6 +11,7 @@ the faces across each axis.
 from __future__ import annotations
 
 import itertools
+import math
 
 from mpi4py import MPI
 
@@ -21,6 +22,7 @@ import dolfinx
 
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Indices, Numbers
+from dolfinx_feti.runtime.values import require_within
 
 __all__ = ["TETRAHEDRA", "create_cube"]
 
@@ -62,9 +64,13 @@ def create_cube(comm: MPI.Comm, subcubes: int, cells: int) -> tuple[dolfinx.mesh
     Returns:
         The mesh, and the number of the subcube of each owned tetrahedron, (n_cells,).
 
+    Raises:
+        ValueError: A number is less than 1. On all processes.
+
     Note:
         Collective.
     """
+    require_within(1.0, math.inf, {"subcubes": subcubes, "cells": cells}, remedy="1 or more")
     edge = subcubes * cells
     numbers = _node_numbers(_cell_positions(_share(subcubes**3, comm), subcubes, cells), edge)
     tetrahedra = numbers[:, TETRAHEDRA].reshape(-1, 4)

@@ -15,6 +15,8 @@ f = sin α e_μ + cos α e_θ with α = 90° - 180° t.
 
 from __future__ import annotations
 
+import math
+
 from mpi4py import MPI
 
 import numpy as np
@@ -26,6 +28,7 @@ from ufl.core.expr import Expr
 from dolfinx_feti.meshes.lattice import lattice_cells
 from dolfinx_feti.meshes.tags import SURFACE_TAGS, tags_of
 from dolfinx_feti.runtime.arrays import Array, Numbers
+from dolfinx_feti.runtime.values import require_within
 from dolfinx_feti.wall.wall import Wall
 from dolfinx_feti.wall.wall_arrays import WallArrays, create_on_root, distribute
 
@@ -67,8 +70,12 @@ def create_ellipsoid(comm: MPI.Comm, n: int, through: int | None = None) -> Wall
         comm: Communicator of the mesh.
         n: The refinement, 1 or more: 8 n bricks around, 4 n from the apex to the base.
         through: Bricks through the wall, 1 or more; n if not given.
+
+    Raises:
+        ValueError: A number is less than 1. On all processes.
     """
     n_through = n if through is None else through
+    require_within(1.0, math.inf, {"n": n, "through": n_through}, remedy="1 or more")
     arrays = create_on_root(lambda: _create_arrays(n, n_through), comm)
     return distribute(arrays, comm)
 

@@ -11,6 +11,8 @@ radius is created first; its vertices and midpoints of edges are then mapped to 
 
 from __future__ import annotations
 
+import math
+
 from mpi4py import MPI
 
 import numpy as np
@@ -22,6 +24,7 @@ from dolfinx_feti.meshes.curved import create_curved_mesh
 from dolfinx_feti.meshes.layers import PRISM_TETRAHEDRA
 from dolfinx_feti.runtime.arrays import Array, Numbers
 from dolfinx_feti.runtime.scotch import repeatable_partitions
+from dolfinx_feti.runtime.values import require_within
 
 __all__ = ["create_octant"]
 
@@ -41,9 +44,14 @@ def create_octant(
     Returns:
         The mesh, without tags.
 
+    Raises:
+        ValueError: A number of elements is less than 1. On all processes.
+
     Note:
         Collective.
     """
+    counts = {"divisions": divisions, "through": through}
+    require_within(1.0, math.inf, counts, remedy="1 or more")
     points: Array = np.zeros((0, 3))  # of other processes than the first one
     cells: Numbers = np.zeros((0, 4), dtype=np.int64)
     if comm.rank == 0:

@@ -10,11 +10,11 @@ import sys
 
 import numpy as np
 import pytest
-from collective import agree, raises
+from collective import COMM, agree, raises
 from mesh_files import watertight
 from wall_files import ROOT
 
-from dolfinx_feti.meshes import files, tube, vessel
+from dolfinx_feti.meshes import cube, ellipsoid, files, octant, tube, vessel
 from dolfinx_feti.meshes.tags import SURFACE_TAGS
 from dolfinx_feti.wall.wallfile import read_wall_arrays
 
@@ -122,3 +122,20 @@ def test_other_formats_are_refused(tmp_path):
     with raises(ValueError, r"t\.vtu.*ends in \.xdmf or \.msh"):
         tube.write_tube(tmp_path / "t.vtu", size=0.4)
     agree(not list(tmp_path.iterdir()))
+
+
+@pytest.mark.parametrize(
+    ("create", "right", "name"),
+    [
+        (ellipsoid.create_ellipsoid, {"n": 1, "through": 1}, "n"),
+        (ellipsoid.create_ellipsoid, {"n": 1, "through": 1}, "through"),
+        (octant.create_octant, {"divisions": 1, "through": 1}, "divisions"),
+        (octant.create_octant, {"divisions": 1, "through": 1}, "through"),
+        (cube.create_cube, {"subcubes": 1, "cells": 1}, "subcubes"),
+        (cube.create_cube, {"subcubes": 1, "cells": 1}, "cells"),
+    ],
+)
+def test_numbers_below_one_are_refused(create, right, name):
+    """One number at a time is zero."""
+    with raises(ValueError, f"{name} = 0: .*1 or more"):
+        create(COMM, **right | {name: 0})
