@@ -26,6 +26,7 @@ __all__ = [
     "SolverKind",
     "assembled_system",
     "create_solver",
+    "is_marked_symmetric",
     "relative_difference",
     "relative_residual",
 ]
@@ -163,6 +164,12 @@ def assembled_system(A: PETSc.Mat, b: PETSc.Vec) -> tuple[PETSc.Mat, PETSc.Vec]:
     return K, f
 
 
+def is_marked_symmetric(A: PETSc.Mat) -> bool:
+    """Return True if a matrix is marked as symmetric."""
+    is_known, is_known_symmetric = A.isSymmetricKnown()
+    return bool(is_known and is_known_symmetric)
+
+
 def relative_residual(K: PETSc.Mat, f: PETSc.Vec, x: PETSc.Vec) -> float:
     """Return ‖f − K x‖/‖f‖. Collective."""
     r = f.duplicate()
@@ -203,7 +210,7 @@ def create_solver(
     """
     chosen = Solver(solver, SOLVERS[solver] if options is None else options)
     if symmetric is None:
-        symmetric = bool(all(A.isSymmetricKnown()))
+        symmetric = is_marked_symmetric(A)
     defaults = _adapted(chosen.options, A, is_symmetric=symmetric)
     dirichlet = None
     is_torn = chosen.kind is SolverKind.TORN

@@ -13,7 +13,7 @@ import dolfinx
 
 from dolfinx_feti.contact.surface import ContactSurface
 from dolfinx_feti.runtime import compat
-from dolfinx_feti.runtime.arrays import Array, Indices
+from dolfinx_feti.runtime.arrays import Array, Indices, Numbers
 
 __all__ = ["SurfaceFields"]
 
@@ -34,14 +34,13 @@ class SurfaceFields:
         degree = surface.ds.metadata()["quadrature_degree"]
         element = basix.ufl.quadrature_element(cell, degree=degree)
         self._space = dolfinx.fem.functionspace(submesh, element)
-        # a facet has the same points in both meshes, in a different order: match the nearest ones
+        # a facet has the same points in both meshes, in a different order
         n = len(surface.element.rules[0])
         facets = order[np.searchsorted(numbers[order], parents)]  # of each cell of the submesh
         in_body = surface.coordinates().reshape(len(numbers), n, mesh.geometry.dim)[facets]
         on_surface = _coordinates_of_points(self._space)
-        distances = np.linalg.norm(in_body[:, None, :, :] - on_surface[:, :, None, :], axis=3)
-        local = np.argmin(distances, axis=2)
-        self._point_of_dof: Indices = (facets[:, None] * n + local).astype(np.int32)
+        number_in_facet = _nearest_points(in_body, on_surface)
+        self._point_of_dof: Indices = (facets[:, None] * n + number_in_facet).astype(np.int32)
 
     def create(self, name: str) -> dolfinx.fem.Function:
         """Create a function of zeros. Collective."""
@@ -57,6 +56,17 @@ class SurfaceFields:
         dofs = self._space.dofmap.list[: len(self._point_of_dof)]
         f.x.array[dofs] = values[self._point_of_dof]
         f.x.scatter_forward()
+
+
+def _nearest_points(points: Array, positions: Array) -> Numbers:
+    """Return the number of the point that is nearest to each position, (facets, positions).
+
+    Args:
+        points: Points of each facet, (facets, points, d).
+        positions: Positions on each facet, (facets, positions, d).
+    """
+    distances = np.linalg.norm(points[:, None, :, :] - positions[:, :, None, :], axis=3)
+    return np.asarray(np.argmin(distances, axis=2))
 
 
 def _coordinates_of_points(V: dolfinx.fem.FunctionSpace) -> Array:
