@@ -3,10 +3,10 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """FETI and other solvers compared: on the same linear system, with the same measure of cost.
 
-A new solver is an entry of ``SOLVERS``, or of the dict that a user passes to ``compare``: a name
-and PETSc's options. An entry of ``SOLVERS`` is also a default solver, so docs/comparing.md has to
-list it. If it needs a package that PETSc may lack, add the package to ``PACKAGES``. If it uses the
-torn matrix, as BDDC does, ``Solver.kind`` and ``create_solver`` have to change as well.
+A new solver is an entry of ``SOLVERS``, or of the dict that a user gives to ``compare``: a name and
+PETSc's options. An entry of ``SOLVERS`` is also part of each comparison with the default solvers,
+which docs/comparing.md lists. If it needs a package of PETSc, that is a name in ``PACKAGES``. If it
+uses the torn matrix, as BDDC does, ``Solver.kind`` and ``create_solver`` change, too.
 
 In the order of the data: solvers, run.
 """

@@ -99,9 +99,9 @@ class Contact:
             name: Name of the Function ``pressure``.
 
         Raises:
-            ValueError: u is not a displacement, ``ds`` is not a measure of a surface, the distance
-                is not a scalar that depends on the position, or the cells have facets of two types.
-            TypeError: u is not a Function, or the tool is not a function.
+            ValueError: u is no displacement, ``ds`` is no measure of a surface, the distance is no
+                scalar that depends on the position, or the cells have facets of two types.
+            TypeError: u is no Function, or the tool no function.
         """
         _check_displacement(u)
         measure = _with_degree(ds, u.function_space)
@@ -225,8 +225,8 @@ def _check_displacement(u: dolfinx.fem.Function) -> None:
     """Check that u is a displacement on a mesh of two or three dimensions.
 
     Raises:
-        TypeError: u is not a Function.
-        ValueError: u has a shape other than (d,), or the mesh is a surface or a line.
+        TypeError: It is no Function.
+        ValueError: It has another shape than (d,), or the mesh is a surface or a line.
     """
     if not isinstance(u, dolfinx.fem.Function):
         raise TypeError(f"u is {u!r}: give the Function of the displacement.")
@@ -247,7 +247,7 @@ def _with_degree(ds: ufl.Measure, V: dolfinx.fem.FunctionSpace) -> ufl.Measure:
         V: Space of the displacement; its mesh, and twice its degree, are the defaults.
 
     Raises:
-        ValueError: ``ds`` is not a measure of a surface.
+        ValueError: It is no measure of a surface.
     """
     if not isinstance(ds, ufl.Measure) or ds.integral_type() != "exterior_facet":
         raise ValueError(f"ds is {ds}: give the measure of a surface, as ds(lumen).")

@@ -8,8 +8,8 @@ s A_f to their diagonal entries k_i. The stiffness of the body in the same unit 
 
 .. math:: s_f = \frac{1}{A_f} \sum_{i ∈ f} \frac{k_i}{m_i},
 
-where m_i is the number of facets of the surface that share the node i. Springs of stiffness s_f per
-area therefore double the diagonal on average.
+where a node that m_i facets of the surface share contributes to each of them by 1/m_i. Springs of
+stiffness s_f per area therefore double the diagonal on average.
 """
 
 from __future__ import annotations

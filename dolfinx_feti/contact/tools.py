@@ -168,8 +168,8 @@ def gap_from(tool: Tool, u: dolfinx.fem.Function) -> Expr:
         u: The displacement.
 
     Raises:
-        ValueError: The distance is not a scalar, or does not depend on the position.
-        TypeError: The tool is not a function.
+        ValueError: The distance is no scalar, or does not depend on the position.
+        TypeError: The tool is no function.
     """
     if not callable(tool):
         raise TypeError(

@@ -3,8 +3,8 @@
 # SPDX-License-Identifier: LGPL-3.0-or-later
 """Diagnosis of a problem: what a solver built, where its time went, and what would help.
 
-A new piece of advice is a constant and an ``if`` in ``advice``. If ``figures`` does not measure its
-quantity yet, add it there.
+A new piece of advice is a constant and an ``if`` in ``advice``. If no figure has its quantity yet,
+``figures`` measures it.
 
 In the order of the data: figures, advice, cell_volumes, cell_check, run.
 """

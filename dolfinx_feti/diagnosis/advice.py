@@ -116,7 +116,7 @@ def _advise_on_method(
 ) -> list[Advice]:
     """Return advice on scaling, formulation and coarse space."""
     lowest, highest = report.eigenvalues
-    # a condition number exists only if λ_min is positive; zero stands for an unknown one
+    # without a positive λ_min there is no condition number, and no advice on it
     condition = highest / lowest if lowest > 0.0 else 0.0
     is_dual = report.formulation == "dual"
     advice = []

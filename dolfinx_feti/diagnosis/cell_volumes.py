@@ -63,7 +63,7 @@ REFINE = (
     "degree does not help."
 )
 
-#: Coordinates of a point, one for each dimension of the mesh; empty without a point.
+#: Coordinates of a point, as many as the mesh has; none without a point.
 Point: TypeAlias = tuple[float, ...]
 
 
@@ -228,7 +228,7 @@ def _midpoints(mesh: dolfinx.mesh.Mesh, cells: npt.NDArray[Any]) -> Array:
 
 
 def _point(x: Array, mesh: dolfinx.mesh.Mesh) -> Point:
-    """Return a point, (3,), as a tuple with one coordinate for each dimension of the mesh."""
+    """Return a point, (3,), as a tuple with as many coordinates as the mesh has."""
     return tuple(map(float, x[: mesh.geometry.dim]))
 
 

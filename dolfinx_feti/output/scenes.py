@@ -88,7 +88,7 @@ def write_scene(
         The scene, which a notebook shows at the end of a cell.
 
     Raises:
-        TypeError: ``path`` is not a path, or ``panel`` is not a panel.
+        TypeError: ``path`` is no path, or ``panel`` no panel.
         ValueError: ``viewer`` is zero or not finite. On all processes.
         OSError: The file cannot be written. On all processes.
     """

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Bad input to both problems: an error that names argument, value and remedy, on all processes."""
+"""Both problem classes refuse bad input on all processes, naming argument, value and remedy."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ LAST = COMM.rank == COMM.size - 1
 
 
 def linear(problem, **changes):
-    """Make a linear problem that is all right but for the changes."""
+    """Create a valid linear problem, with some of its arguments replaced."""
     right = {"a": problem.a, "L": problem.L, "bcs": problem.bcs}
     return LinearProblem(**(right | DEFAULTS | changes))
 
 
 def nonlinear(problem, **changes):
-    """Make the same one by its residual."""
+    """Create the same problem from its residual, with some of its arguments replaced."""
     u = dolfinx.fem.Function(problem.V)
     right = {"F": ufl.action(problem.a, u) - problem.L, "u": u, "bcs": problem.bcs}
     return NonlinearProblem(**(right | DEFAULTS | changes))
@@ -45,7 +45,7 @@ def nonlinear(problem, **changes):
 
 
 def other_condition(problem, component=None):
-    """Return a condition on a space that looks like V."""
+    """Return a condition on another space than V, which has the same element."""
     other = dolfinx.fem.functionspace(problem.V.mesh, problem.V.ufl_element())
     return dirichlet(other, left, component=component)
 
@@ -87,7 +87,7 @@ COMMON = [
 @pytest.mark.parametrize("create", [linear, nonlinear])
 @pytest.mark.parametrize(("name", "wrong", "message"), COMMON)
 def test_common(create, name, wrong, message):
-    """None leaves an object behind: __del__ copes with an __init__ that has raised."""
+    """Each bad argument raises an error that names it, and ``__del__`` raises no second one."""
     problem = elasticity(cube(2, 4))
     kind = TypeError if message in ("subdomains", "of type.*integers") else ValueError
     with raises(kind, message):
@@ -95,7 +95,7 @@ def test_common(create, name, wrong, message):
 
 
 def test_arguments_that_do_not_exist():
-    """Arguments of the base class are not those of the two problems."""
+    """Unknown keywords raise a TypeError, those of dolfinx's base class included."""
     body = poisson(cube(2, 4))
     for create, more in ((linear, ("quadrature_degree", "volume_ratio")), (nonlinear, ())):
         for name in ("bad", "name", "forms", *more):
@@ -121,7 +121,7 @@ SNES = [
     [(c, *o) for c in (linear, nonlinear) for o in OPTIONS] + [(nonlinear, *o) for o in SNES],
 )
 def test_options(create, name, wrong, message):
-    """In the call, on one process too, and on the command line; the database is as before."""
+    """A bad option of a call or the command line is an error that leaves the database unchanged."""
     problem = poisson(cube(2, 4))
     before = PETSc.Options().getAll()
     for there in (True, LAST):
@@ -137,6 +137,7 @@ ELEMENTS = [("RT", 1), ("N1curl", 1), ("DG", 1, (2,)), ("DG", 0), ("CR", 1)]
 
 @pytest.mark.parametrize("create", [linear, nonlinear])
 def test_elements_that_cannot_be_torn(create):
+    """Elements without continuous dofs at the nodes are refused with a list of suitable ones."""
     mesh = cube(2, 3)
     discontinuous = basix.ufl.element("P", mesh.basix_cell(), 1, discontinuous=True)
     for element in (*ELEMENTS, discontinuous):
@@ -150,6 +151,7 @@ def test_elements_that_cannot_be_torn(create):
 
 @pytest.mark.parametrize("create", [linear, nonlinear])
 def test_interior_facet_integrals(create):
+    """A bilinear form with ``dS`` is refused; the message recommends ``one_side``."""
     body = poisson(cube(2, 4))
     penalty = ufl.avg(ufl.TrialFunction(body.V)) * ufl.avg(ufl.TestFunction(body.V)) * ufl.dS
     with raises(ValueError, r"use a form with dx and ds only.*dolfinx_feti\.fem\.facets\.one_side"):
@@ -159,6 +161,7 @@ def test_interior_facet_integrals(create):
 @pytest.mark.parametrize("scalar", [np.complex128, np.float32])
 @pytest.mark.parametrize("create", [linear, nonlinear])
 def test_other_scalar_types(create, scalar, monkeypatch):
+    """A PETSc build with another scalar type than float64 is refused."""
     monkeypatch.setattr(PETSc, "ScalarType", scalar)
     with raises(TypeError, f"{np.dtype(scalar)}.*real double precision"):
         create(poisson(cube(2, 4)))
@@ -167,7 +170,7 @@ def test_other_scalar_types(create, scalar, monkeypatch):
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 @pytest.mark.parametrize("create", [linear, nonlinear])
 def test_no_condition_at_all(create, kind):
-    """The message has the dimension of the kernel; u is not changed."""
+    """Without conditions the error states the dimension of the kernel, and u keeps its values."""
     problem = create(elasticity(cube(2, 4), clamped=None), petsc_options={"feti_type": kind})
     with raises(ConvergenceError, "singular, with a kernel of dimension 3.*Add Dirichlet cond"):
         problem.solve()
@@ -257,6 +260,7 @@ LINEAR = {
 
 @each(("wrong", "message"), LINEAR)
 def test_linear_forms(wrong, message):
+    """LinearProblem refuses forms and arguments that do not fit together."""
     body = Poisson()
     with raises(TypeError if COMPLEX in message else ValueError, message):
         linear(body.problem, **wrong(body))
@@ -264,6 +268,7 @@ def test_linear_forms(wrong, message):
 
 @pytest.mark.skipif(has_vertex_integrals(), reason="dolfinx assembles them")
 def test_springs_at_points_need_a_newer_dolfinx():
+    """With dolfinx 0.9, vertex integrals raise an error that names the needed version."""
     body = poisson(cube(2, 2))
     u = ufl.TrialFunction(body.V)
     v = ufl.TestFunction(body.V)
@@ -272,6 +277,7 @@ def test_springs_at_points_need_a_newer_dolfinx():
 
 
 def test_mesh_in_single_precision():
+    """A mesh with float32 coordinates is refused."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 3, 3, dtype=np.float32)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = ufl.TrialFunction(V)
@@ -281,6 +287,7 @@ def test_mesh_in_single_precision():
 
 
 def test_unsymmetric_matrix_with_cg():
+    """Dual conjugate gradients refuse an unsymmetric matrix, and the primal form is advised."""
     body = poisson(cube(2, 6))
     a = body.a + 5.0 * ufl.TrialFunction(body.V).dx(0) * ufl.TestFunction(body.V) * ufl.dx
     made = linear(body, a=a, petsc_options={"feti_dual_ksp_type": "cg"})
@@ -298,12 +305,13 @@ def body() -> Wall:
 
 
 def create(body, **changes):
-    """Make a problem that is all right but for the changes."""
+    """Create a valid nonlinear problem, with some of its arguments replaced."""
     arguments = {"F": [body.F_u, body.F_p], "u": body.u, "bcs": body.bcs, "condense": body.p}
     return NonlinearProblem(**(arguments | DEFAULTS | {"subdomains": 2} | changes))
 
 
 def space(body, *element):
+    """Return a function space on the mesh of a body."""
     return dolfinx.fem.functionspace(body.u.function_space.mesh, element)
 
 
@@ -315,7 +323,7 @@ def solid(body):
 
 
 def test_nothing_is_wrong(body):
-    """The other tests fail for the reason that they change; the same energy twice is fine."""
+    """The arguments that the other tests change are valid when they are unchanged."""
     create(body)
     psi, J = solid(body)
     energy = (psi + (J - 1) ** 2) * ufl.dx
@@ -323,7 +331,7 @@ def test_nothing_is_wrong(body):
 
 
 class WallForms:
-    """The forms of a wall, and such as do not fit it."""
+    """Valid forms of a wall, and forms that NonlinearProblem has to refuse."""
 
     def __init__(self, body):
         V = body.u.function_space
@@ -460,12 +468,14 @@ FORMS = {
 
 @each(("wrong", "message"), FORMS)
 def test_forms(body, wrong, message):
+    """NonlinearProblem refuses each form that does not fit u, p or its arguments."""
     with raises(TypeError if COMPLEX in message else ValueError, message):
         create(body, **wrong(WallForms(body)))
 
 
 @pytest.mark.parametrize("element", [("Lagrange", 1), ("CR", 1), ("RT", 1)])
 def test_space_of_the_pressure(body, element):
+    """A pressure space that cannot be condensed is refused."""
     p = dolfinx.fem.Function(space(body, *element), name="π")
     with raises(TypeError, r"condense\[0\] is 'π' with the element .*use a discontinuous element"):
         create(body, condense=p)
@@ -506,6 +516,7 @@ CONDENSED = {
 
 @each(("wrong", "message"), CONDENSED)
 def test_condensed_fields(body, wrong, message):
+    """``condense=`` refuses fields that cannot be condensed from F, with the remedy."""
     with raises(TypeError if "is 7" in message else ValueError, message):
         create(body, **wrong(body))
 
@@ -529,6 +540,7 @@ def poisson_on(mesh, f=1.0, *, nonlinear=False, bcs=None, **arguments):
 @pytest.mark.parametrize("nonlinear", [False, True])
 @pytest.mark.parametrize("element", [("Lagrange", 1), ("DG", 0)])
 def test_coefficient_of_another_mesh(element, nonlinear):
+    """A coefficient on another mesh is refused, and the message names it."""
     other = cube(2, 3)
     f = dolfinx.fem.Function(dolfinx.fem.functionspace(other, element), name="source")
     name = "F" if nonlinear else "L"
@@ -538,6 +550,7 @@ def test_coefficient_of_another_mesh(element, nonlinear):
 
 @pytest.mark.parametrize("nonlinear", [False, True])
 def test_coordinate_of_another_mesh(nonlinear):
+    """A SpatialCoordinate of another mesh is refused."""
     x = ufl.SpatialCoordinate(cube(2, 3))
     with raises(ValueError, "coordinate of another mesh|on another mesh"):
         poisson_on(cube(2, 4), x[0], nonlinear=nonlinear)
@@ -545,15 +558,17 @@ def test_coordinate_of_another_mesh(nonlinear):
 
 @pytest.mark.parametrize("wrong", [2.5, 4.0, "4", np.float64(3.0)])
 def test_subdomains_that_are_no_whole_number(wrong):
+    """``subdomains`` raises a TypeError unless it is an integer."""
     with raises(TypeError, rf"subdomains is .*{wrong}.*: give a whole number"):
         poisson_on(cube(2, 4), subdomains=wrong)
 
 
 @pytest.mark.parametrize("nonlinear", [False, True])
 def test_conditions_on_dofs_that_are_not_there(nonlinear):
-    """As of a vector space, where only blocks are numbered."""
+    """A condition on a dof beyond those of the space is refused on all processes."""
 
     def of_another(V):
+        """Return a condition on a dof that the space does not have."""
         size = V.dofmap.index_map.size_local + V.dofmap.index_map.num_ghosts
         return [dolfinx.fem.dirichletbc(0.0, np.array([2 * size], dtype=np.int32), V)]
 

@@ -185,7 +185,7 @@ def newton_steps(plate):
 
 
 def test_return_mapping_in_numpy():
-    """The same residual before each Newton step, over load steps that yield and unload."""
+    """A return mapping in NumPy has the residuals of a Newton loop with dolfinx and MUMPS."""
     ours = Plate()
     theirs = Plate()
     problem = ours.problem()
@@ -211,7 +211,7 @@ def test_return_mapping_in_numpy():
 
 
 def test_each_state_is_announced():
-    """The forms are assembled at states that the function has seen, in the line search, too."""
+    """Before each assembly the function is called with the state, also in the line search."""
     plate = Plate(cells=2)
     seen = []
 
@@ -232,7 +232,7 @@ def test_each_state_is_announced():
 
 @pytest.mark.parametrize("everywhere", [True, False], ids=["all-ranks", "one-rank"])
 def test_error_in_the_function(everywhere):
-    """It is raised on all processes, at the start and in the line search."""
+    """An error in ``before_assembly`` on one process is raised on all of them."""
     plate = Plate(cells=2)
     plate.lift.value = LIFTS[0]
     for first in (0, 1):
@@ -254,7 +254,7 @@ def test_error_in_the_function(everywhere):
 
 
 def test_unknown_is_not_in_the_residual(caplog):
-    """With J it need not be: a warning names the argument that is missing; without J an error."""
+    """F without u needs J; with J a warning recommends ``before_assembly=``."""
     plate = Plate(cells=2)
     for _ in range(2):
         plate.problem(before_assembly=None)
@@ -265,7 +265,7 @@ def test_unknown_is_not_in_the_residual(caplog):
 
 
 def test_energy_with_coefficients_that_change():
-    """Kačanov's iteration: the conductivity follows u, so that F is not the potential."""
+    """Kačanov's iteration converges although its coefficient, and thus the energy, follows u."""
     mesh = cube(2, 6)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = dolfinx.fem.Function(V)
@@ -295,7 +295,7 @@ def test_energy_with_coefficients_that_change():
 
 
 def test_the_page_solves_what_it_says(page_program):
-    """The law in UFL has the same solution."""
+    """The program of docs/external_laws.md has the solution of the same law written in UFL."""
     names = page_program
     u = names["u"]
     w = dolfinx.fem.Function(names["V"])
@@ -309,7 +309,7 @@ def test_the_page_solves_what_it_says(page_program):
 
 @pytest.fixture
 def page_program():
-    """Names of the program of docs/external_laws.md after a run on a coarse mesh."""
+    """Return the names that the program of docs/external_laws.md defines, on a coarse mesh."""
     text = (ROOT / "docs/external_laws.md").read_text(encoding="utf-8")
     (source,) = re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)
     names = {}

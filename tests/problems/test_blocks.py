@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Problems in blocks, as dolfinx has them from 0.10 on, beside MUMPS on the mixed space."""
+"""Problems in blocks, as dolfinx has them since 0.10, have MUMPS' solution on the mixed space."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ DX = {"quadrature_degree": 4}
 
 
 def neo_hooke(u, p, v, q, *, kappa=None, scale=1.0):
-    """Residuals of a panel in plane strain with a pressure; incompressible without κ."""
+    """Return the residuals of a panel in plane strain with a pressure; without κ incompressible."""
     dx = ufl.Measure("dx", metadata=DX)
     F = ufl.Identity(2) + ufl.grad(u)
     J = ufl.det(F)
@@ -43,7 +43,7 @@ def neo_hooke(u, p, v, q, *, kappa=None, scale=1.0):
 
 
 def elastic(u, p, v, q, *, kappa=None, scale=1.0):
-    """Bilinear form of linear elasticity with a pressure, its two rows."""
+    """Return the two rows of the bilinear form of linear elasticity with a pressure."""
     dx = ufl.Measure("dx", metadata=DX)
     constraint = ufl.div(u) if kappa is None else ufl.div(u) - p / kappa
     shear = 2 * MU * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v)))
@@ -52,7 +52,7 @@ def elastic(u, p, v, q, *, kappa=None, scale=1.0):
 
 @dataclass
 class Panel:
-    """P2–P0 on triangles, clamped on the left."""
+    """A panel of P2–P0 triangles that is clamped on the left."""
 
     def __post_init__(self):
         self.mesh = cube(2, 4)
@@ -113,6 +113,7 @@ def panel():
 
 
 def tangent(forms, functions, trials):
+    """Return the blocks of the tangent, the derivatives of residuals."""
     return [
         [ufl.derivative(F, f, d) for f, d in zip(functions, trials, strict=True)] for F in forms
     ]
@@ -120,18 +121,20 @@ def tangent(forms, functions, trials):
 
 @pytest.fixture(scope="module")
 def nearly(panel):
+    """Reference solution of the nearly incompressible panel."""
     return panel.reference(lambda *args: neo_hooke(*args, kappa=KAPPA))
 
 
 @pytest.fixture(scope="module")
 def exactly(panel):
+    """Reference solution of the incompressible panel."""
     return panel.reference(neo_hooke)
 
 
 @pytest.mark.parametrize("with_J", [False, True], ids=["derived", "J"])
 @pytest.mark.parametrize("order", ["up", "pu", "parts"])
 def test_nearly_incompressible(panel, nearly, order, with_J):
-    """In any order, with blocks of J, from forms on a MixedFunctionSpace."""
+    """The order of the blocks, and blocks of J, do not change the solution."""
     u, p = panel.functions()
     if order == "parts":
         W = ufl.MixedFunctionSpace(panel.V, panel.Q)
@@ -164,7 +167,7 @@ def test_nearly_incompressible(panel, nearly, order, with_J):
 
 @pytest.mark.parametrize("scale", [1.0, -2.5e3], ids=["plain", "scaled"])
 def test_incompressible(panel, exactly, caplog, scale):
-    """Without a p–p term multipliers are taken, whatever the constraint is multiplied with."""
+    """Without a p–p block p becomes a multiplier, whatever the scale of its equation."""
     u, p = panel.functions()
     v = ufl.TestFunction(panel.V)
     q = ufl.TestFunction(panel.Q)
@@ -183,7 +186,7 @@ def test_incompressible(panel, exactly, caplog, scale):
 
 
 def test_penalty(panel, caplog):
-    """With kappa alone it is the term in p that is missing; no warning, as it was asked for."""
+    """With ``kappa=`` the incompressible forms have the solution of that κ, without a warning."""
     kappa = 50.0
     expected = panel.reference(lambda *args: neo_hooke(*args, kappa=kappa))
     for scale in (1.0, -10.0):
@@ -200,7 +203,7 @@ def test_penalty(panel, caplog):
 
 
 def test_energy_of_an_incompressible_body(panel, exactly):
-    """Π(u, p) with a list of unknowns, or with condense=."""
+    """An energy Π(u, p) has the incompressible solution, with [u, p] or ``condense=p``."""
     for as_list, order in itertools.product((True, False), (1, -1)):
         u, p = panel.functions()
         F = ufl.Identity(2) + ufl.grad(u)
@@ -246,7 +249,7 @@ def linear_blocks(panel, order, *, kappa=None, scale=1.0, g=0.0):
 @pytest.mark.parametrize("kappa", [KAPPA, None], ids=["nearly", "exactly"])
 @pytest.mark.parametrize("scale", [1.0, -20.0], ids=["plain", "scaled"])
 def test_linear_blocks(panel, order, kappa, scale):
-    """Sources of the constraint included: div u = g."""
+    """Linear problems in blocks have the mixed solution, also with a source in the constraint."""
     g = 0.01
     a, L = linear_blocks(panel, order, kappa=kappa, scale=scale, g=g)
     problem = LinearProblem(a, L, bcs=panel.bcs, subdomains=4, petsc_options=TIGHT)
@@ -264,7 +267,7 @@ def test_linear_blocks(panel, order, kappa, scale):
 
 
 def test_load_in_the_constraint_alone(panel):
-    """None in the place of the load of u: div u = g moves the body."""
+    """``None`` as the load of u is zero, so that div u = g alone moves the body."""
     a, (_, of_p) = linear_blocks(panel, "up", kappa=KAPPA, g=0.01)
     common = {"bcs": panel.bcs, "subdomains": 4, "petsc_options": TIGHT}
     zero = ufl.inner(dolfinx.fem.Constant(panel.mesh, (0.0, 0.0)), ufl.TestFunction(panel.V))
@@ -277,7 +280,7 @@ def test_load_in_the_constraint_alone(panel):
 
 @pytest.mark.parametrize("place", ["load", "corner"])
 def test_zero_forms(panel, place):
-    """A block ``ufl.ZeroBaseForm`` is zero, as None is; dolfinx's demos state zero blocks by it."""
+    """A block ``ufl.ZeroBaseForm`` is zero, as None is."""
     a, L = linear_blocks(panel, "up", kappa=KAPPA if place == "load" else None)
     (_, p), (q, _) = (form.arguments() for form in (a[0][1], a[1][0]))
     if place == "load":
@@ -295,7 +298,7 @@ def test_zero_forms(panel, place):
 
 
 def test_given_functions(panel):
-    """Solutions come in the functions that were given, also in lists of one."""
+    """Solutions are written to the Functions passed as u, also in lists of one."""
     a, L = linear_blocks(panel, "up", kappa=KAPPA)
     u, p = panel.functions()
     found = LinearProblem(a, L, u=[u, p], bcs=panel.bcs, subdomains=4).solve()
@@ -315,7 +318,7 @@ def test_given_functions(panel):
 
 
 def test_blocks_of_the_tangent_are_used(panel, nearly):
-    """A wrong block beside that of u costs steps: the right one is not derived in its place."""
+    """The blocks of J that the user passes are used: a wrong one costs Newton steps."""
     u, p = panel.functions()
     v = ufl.TestFunction(panel.V)
     q = ufl.TestFunction(panel.Q)
@@ -334,7 +337,7 @@ def test_blocks_of_the_tangent_are_used(panel, nearly):
 
 
 def stress_and_strain(panel, *, flexible):
-    """Return the energy of Hellinger and Reissner's principle, u, and the stress, a tensor.
+    """Return the energy of the Hellinger–Reissner principle, u, and the stress tensor.
 
     Linear stresses contain those of quadratic displacements, so that u is that of the displacement
     method. A flexible body has stresses that stiffen it.
@@ -353,7 +356,7 @@ def stress_and_strain(panel, *, flexible):
 
 @pytest.mark.parametrize("way", ["energy", "blocks", "condense"])
 def test_condensed_tensor(panel, way):
-    """Stresses of a two-field principle are condensed: six dofs of a cell, with three for each."""
+    """Condensed stresses of the two-field principle give the displacements of the one-field one."""
     energy, u, stress = stress_and_strain(panel, flexible=True)
     common = {"bcs": panel.bcs, "subdomains": 4, "petsc_options": TIGHT}
     unknowns = (u, stress)
@@ -381,7 +384,7 @@ def test_condensed_tensor(panel, way):
 
 
 def test_condensed_tensor_of_a_linear_problem(panel):
-    """On an elastic foundation; without it the block of u is zero, and the message says so."""
+    """A linear problem with condensed stresses needs a block of u, such as a foundation."""
     energy, u, stress = stress_and_strain(panel, flexible=False)
     unknowns = (u, stress)
     tests = [ufl.TestFunction(w.function_space) for w in unknowns]
@@ -402,7 +405,7 @@ def test_condensed_tensor_of_a_linear_problem(panel):
 
 
 def test_condensed_tensors_are_no_pressures(panel):
-    """They become no multipliers, and get no term of compression: the message says so."""
+    """A condensed tensor cannot be a volume multiplier, nor may its block be zero."""
     energy, u, stress = stress_and_strain(panel, flexible=True)
     with raises(ValueError, "A volume tolerance turns condensed pressures into multipliers, but"):
         NonlinearProblem(energy, u, condense=stress, volume_tolerance=1e-6, bcs=panel.bcs)
@@ -412,7 +415,7 @@ def test_condensed_tensors_are_no_pressures(panel):
 
 
 def test_what_is_refused(panel):
-    """Conditions on a condensed field, residuals in another order, a κ without a use."""
+    """Conditions on a condensed field, residuals in another order and an unused κ are refused."""
     u, p = panel.functions()
     v = ufl.TestFunction(panel.V)
     q = ufl.TestFunction(panel.Q)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""``boundary=`` adds the conditions of a wall: the same problem as with forms written out."""
+"""``boundary=`` adds the conditions of a wall, as if their forms were written out."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Tube:
         self.boundary.set_pressure(loads.mmhg(1.0))
 
     def written_out(self) -> NonlinearProblem:
-        """The problem with the forms of the conditions added by hand."""
+        """Return the problem with the forms of the conditions added by hand."""
         energy = self.boundary.energy
         F_u = ufl.derivative(self.energy, self.u, self.v)
         return NonlinearProblem(
@@ -64,14 +64,14 @@ class Tube:
 
 
 def residuals(problem: NonlinearProblem) -> np.ndarray:
-    """Solve; the norms of the residual of all Newton steps."""
+    """Solve, and return the residual norm of each Newton step."""
     problem.solve()
     return np.array([step.residual for step in problem.history])
 
 
 @pytest.mark.parametrize("kind", CONDITIONS)
 def test_energy_and_boundary(wall, kind):
-    """Newton's method takes the same steps, to rounding accuracy."""
+    """``boundary=`` takes the Newton steps of forms written out, to rounding accuracy."""
     tube = Tube(wall, kind)
     agree((tube.boundary.energy is None) == (kind == "none"))
     expected = residuals(tube.written_out())
@@ -85,7 +85,7 @@ def test_energy_and_boundary(wall, kind):
 
 
 def test_residuals_tangent_and_potential(wall):
-    """All that may be given is added to."""
+    """``boundary=`` adds to residuals, tangent and potential if the user passes them."""
     tube = Tube(wall, "potential")
     expected = residuals(tube.written_out())
     other = Tube(wall, "potential")
@@ -109,7 +109,7 @@ def test_residuals_tangent_and_potential(wall):
 
 
 def test_further_conditions(wall):
-    """``bcs`` come in addition."""
+    """``bcs=`` are added to the Dirichlet conditions of ``boundary=``."""
     tube = Tube(wall, "none")
     V = tube.u.function_space
     dofs = dolfinx.fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[2], 3.0))
@@ -124,6 +124,7 @@ def test_further_conditions(wall):
 
 
 def test_conditions_on_another_displacement(wall):
+    """``boundary=`` refuses the conditions of another displacement, and other types."""
     tube = Tube(wall, "potential")
     other = Tube(wall, "potential")
     with raises(ValueError, "pass the same u"):

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Problems that have no load to cut, from zero: in at most twice the steps of SNES with ``bt``."""
+"""From zero, problems without a load to cut take at most twice the steps of SNES with ``bt``."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def stretch_along_x(x):
 
 
 class Scalar:
-    """A scalar problem with an energy, and its solution by SNES with ``bt`` and a factor."""
+    """A scalar problem with an energy, and its solution by SNES with ``bt`` and LU."""
 
     def __init__(self, mesh: dolfinx.mesh.Mesh, degree: int = 1, *, held: bool = True) -> None:
         V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
@@ -62,7 +62,7 @@ class Scalar:
         self.energy = ((self.u - g) ** 2 / 2 + weight * size) * self.dx
 
     def snes(self, form: ufl.Form) -> tuple[int, np.ndarray]:
-        """Return the steps of SNES to the zero of a residual and its solution, (owned,)."""
+        """Return the Newton steps of SNES for a residual, and its solution, (owned,)."""
         F, J = map(dolfinx.fem.form, (form, ufl.derivative(form, self.u)))
         A = dolfinx.fem.petsc.create_matrix(J)
         x = A.createVecRight()
@@ -103,7 +103,10 @@ class Scalar:
         return steps, solution
 
     def compare(self, subdomains: int, *, spare: int = 0) -> None:
-        """Solve by the residual, and by the energy in no more steps but some spare, from zero."""
+        """Require SNES' solution in at most twice its steps, by the residual and by the energy.
+
+        The energy takes no more steps than the residual, up to ``spare``.
+        """
         residual = ufl.derivative(self.energy, self.u, self.v)
         most, expected = self.snes(residual)
         common = {"subdomains": subdomains, "petsc_options": {"snes_max_it": 2 * most}}
@@ -120,7 +123,7 @@ class Scalar:
 @pytest.mark.parametrize("p", [1.1, 1.5, 4.0, 10.0])
 @pytest.mark.parametrize(("load", "subdomains"), [(1.0, 2), (10.0, 7), (10.0, 16), (0.1, 2)])
 def test_p_laplace(p, load, subdomains):
-    """Coefficients from 1 to 1e-16, at which a linear solve stagnates or finds no pivot.
+    """The p-Laplacian is solved although its coefficient varies from 1 to 1e-16.
 
     With p = 10 rounding decides whether a tangent takes a shift, which may cost a step.
     """
@@ -132,13 +135,14 @@ def test_p_laplace(p, load, subdomains):
 @pytest.mark.parametrize("p", [4.0, 6.0, 8.0, 10.0])
 @pytest.mark.parametrize(("cells", "subdomains"), [(8, 1), (24, 1), (16, 4)])
 def test_p_laplace_of_a_load_that_turns(p, cells, subdomains):
-    """Tangents are singular to rounding, also that of the only subdomain."""
+    """The p-Laplacian is solved although tangents are singular to rounding where the load turns."""
     problem = Scalar(cube(2, cells))
     problem.p_laplace(p, 1.0, waves=True)
     problem.compare(subdomains)
 
 
 def test_p_laplace_on_quadratic_quadrilaterals():
+    """The p-Laplacian with p = 10 is solved on quadratic quadrilaterals."""
     problem = Scalar(cube(2, 16, Cell.quadrilateral), degree=2)
     problem.p_laplace(10.0, 10.0)
     problem.compare(4)
@@ -148,7 +152,7 @@ def test_p_laplace_on_quadratic_quadrilaterals():
 @pytest.mark.parametrize("smoothing", [1e-1, 1e-3, 1e-4])
 @pytest.mark.parametrize(("cells", "held"), [(16, True), (20, False)])
 def test_total_variation(weight, smoothing, cells, held):
-    """The gradient of the energy all but jumps where that of u is zero.
+    """Total variation is minimised although its gradient almost jumps where grad u = 0.
 
     With the least smoothing the path of some sixty steps depends on the errors that linear solves
     leave: 62 by the residual and 67 by the energy on two processes.
@@ -161,7 +165,7 @@ def test_total_variation(weight, smoothing, cells, held):
 @pytest.mark.parametrize("energy", [False, True])
 @pytest.mark.parametrize(("slides", "most"), [(False, 7), (True, 6)])
 def test_cube_pulled_at_once(energy, slides, most):
-    """From 1 to 2, nearly incompressible."""
+    """A nearly incompressible cube is pulled to twice its length in one load step."""
     mesh = cube(3, 3, Cell.hexahedron)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     u, p = map(dolfinx.fem.Function, (V, dolfinx.fem.functionspace(mesh, ("DG", 0))))

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A tangent that is not the derivative of the residual is found out, and named; another is not."""
+"""A J that is not the derivative of the residual is detected and named, and a right one is not."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ LOADS = (0.001, 0.002, 0.003)
 
 
 def advised(problem):
-    """The advice about the tangent."""
+    """Return the advice about the tangent in a problem's diagnosis."""
     found = problem.diagnose()
     agree(all(str(a) in str(found) for a in found.advice), found)
     return [a for a in found.advice if a.quantity == QUANTITY]
 
 
 def heat(J=None, k=lambda u: 1 + u**2, **options):
-    """−div(k grad u) = 40, u = 0 on one side; J of the user's own, from u, v and du."""
+    """Create −div(k grad u) = 40 with u = 0 on one side; J maps u, v and du to an integrand."""
     V = dolfinx.fem.functionspace(cube(2, 8), ("Lagrange", 1))
     u = dolfinx.fem.Function(V)
     v = ufl.TestFunction(V)
@@ -42,7 +42,7 @@ def heat(J=None, k=lambda u: 1 + u**2, **options):
 
 
 def without_term(u, v, du):
-    """Picard's tangent, which leaves out how the conductivity changes."""
+    """Return Picard's tangent, which lacks the derivative of the conductivity."""
     return (1 + u**2) * ufl.inner(ufl.grad(du), ufl.grad(v))
 
 
@@ -62,7 +62,7 @@ def bent(kind, caplog, **options):
 
 @pytest.mark.parametrize("kind", ["symmetric", "none"])
 def test_pressure_with_a_free_rim(caplog, kind):
-    """The symmetric part is known by its error, which does no work along the step."""
+    """On a free rim a symmetric or missing tangent of the pressure is detected, with its remedy."""
     problem, said = bent(kind, caplog, snes_max_it=40)
     (advice,) = advised(problem)
     remedy = "take follower_pressure_tangent(…, bcs=bcs)" if kind == "symmetric" else "lacks a term"
@@ -75,7 +75,7 @@ def test_pressure_with_a_free_rim(caplog, kind):
 
 
 def test_missing_term(caplog):
-    """It is found in a solve that arrives, slowly."""
+    """A missing term of J is named after a solve that converges slowly."""
     problem = heat(without_term)
     with caplog.at_level(logging.WARNING, "dolfinx_feti"):
         problem.solve()
@@ -89,7 +89,7 @@ def test_missing_term(caplog):
 
 
 def test_missing_term_in_a_solve_that_fails():
-    """Smaller steps would not help, and are not recommended."""
+    """A failed solve with a wrong J names J, and does not recommend smaller steps."""
     problem = heat(without_term, snes_max_it=3)
     with raises(ConvergenceError, "no convergence within 3 steps: J is not the derivative of F"):
         problem.solve()
@@ -98,7 +98,7 @@ def test_missing_term_in_a_solve_that_fails():
 
 
 def test_coefficient_that_changes_with_u():
-    """A monitor changes what F and J take to be fixed: F is another one in each step."""
+    """A coefficient that changes between Newton steps is named as the cause, instead of J."""
     coefficients = []
 
     def conductivity(u):
@@ -122,7 +122,7 @@ def test_coefficient_that_changes_with_u():
 
 @pytest.mark.parametrize("kind", ["full", "exact", "auto"])
 def test_right_tangent_of_a_beam(caplog, kind):
-    """Which is slow in the middle of large steps."""
+    """A right tangent causes no warning, although large steps converge slowly."""
     problem, said = bent(kind, caplog)
     agree(not problem._newton.findings and not advised(problem))
     agree(not said, said)
@@ -132,7 +132,7 @@ def test_right_tangent_of_a_beam(caplog, kind):
 
 
 def opposite(kind, factor, *, start=0.0, energy=False, condense=False):
-    """A problem whose J is a negative multiple of the derivative."""
+    """Create a problem whose J is a multiple of the derivative."""
     mesh = cube(2, 6)
     shape = () if kind == "scalar" else (2,)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2 if condense else 1, shape))
@@ -171,7 +171,7 @@ def opposite(kind, factor, *, start=0.0, energy=False, condense=False):
     ],
 )
 def test_wrong_sign(kind, options, factor, caplog):
-    """Found after a step, or two if the boundary moves, in each solve, and not said twice."""
+    """A J of the wrong sign ends each solve after at most two steps, with one warning in all."""
     problem = opposite(kind, factor, **options)
     for _ in range(2):
         with raises(ConvergenceError, "J has the wrong sign: give J = ufl.derivative"):
@@ -184,14 +184,14 @@ def test_wrong_sign(kind, options, factor, caplog):
 
 @pytest.mark.parametrize("factor", [1.0, 0.5])
 def test_right_sign(factor):
-    """Half the derivative is not right, but no reason to end."""
+    """Half the derivative as J is slow, and does not end the solve."""
     problem = opposite("scalar", factor)
     problem.solve()
     agree(not any("sign" in finding.advice.text for finding in problem._newton.findings))
 
 
 def ground(penalty, degree=None, *, given=False, kind="abs", dim=2):
-    """A strip pressed on a wavy ground: a penalty on the positive part of the overlap."""
+    """Create a strip pressed on a wavy ground by a penalty on the positive part of the overlap."""
     mesh = cube(dim, 12 if dim == 2 else 4)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (dim,)))
     u = dolfinx.fem.Function(V)
@@ -222,7 +222,7 @@ def ground(penalty, degree=None, *, given=False, kind="abs", dim=2):
 @pytest.mark.parametrize("kind", ["abs", "max_value", "conditional"])
 @pytest.mark.parametrize(("penalty", "dim"), [(1e3, 2), (1e4, 2), (1e3, 3)])
 def test_tangent_has_the_degrees_of_the_residual(kind, penalty, dim, given):
-    """Steps without a degree in the measure, of a J that is derived or UFL's, as with one."""
+    """A J without stated degrees takes the steps of one with the residual's quadrature degree."""
     steps = []
     for degree in (4, None):
         problem = ground(penalty, degree, given=given, kind=kind, dim=dim)
@@ -233,7 +233,7 @@ def test_tangent_has_the_degrees_of_the_residual(kind, penalty, dim, given):
 
 
 def test_kink_is_named():
-    """A solve that fails across a kink says so, and names no J if none was passed."""
+    """A solve that fails across a kink names the kink, and not J if none was passed."""
     problem = ground(1e3)
     problem.solver.setTolerances(max_it=2)
     with raises(ConvergenceError, r"within 2 steps.*F has a kink in u \(abs\)"):
@@ -242,7 +242,7 @@ def test_kink_is_named():
 
 
 def test_residual_that_does_not_change():
-    """A u that occurs in F only formally: no division by zero, and an error that says so."""
+    """If F does not change with u, the error recommends ``before_assembly=``."""
     V = dolfinx.fem.functionspace(cube(2, 4), ("Lagrange", 1))
     u = dolfinx.fem.Function(V)
     v = ufl.TestFunction(V)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The figures that a problem reports, and the advice that follows from them."""
+"""The figures that a problem reports, and the advice that is derived from them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from dolfinx_feti.diagnosis.figures import figure_text
 
 
 def quantities(problem):
-    """Return what has passed a threshold; the sentences are in the text."""
+    """Return the quantities of the advice, and check that the report contains its texts."""
     found = problem.diagnose()
     agree(all(str(a) in str(found) and a.text.endswith(".") for a in found.advice), found)
     return {a.quantity for a in found.advice}
@@ -34,6 +34,7 @@ def quantities(problem):
 
 
 def test_figures_of_a_linear_problem(solve_linear):
+    """The figures of a linear problem agree with its decomposition, its solve and the report."""
     problem = solve_linear(elasticity(cube(3, 4)), 6, {"feti_type": "all_floating"})
     found = problem.diagnose()
     figures = found.figures
@@ -68,11 +69,12 @@ def test_figures_of_a_linear_problem(solve_linear):
     ("value", "text"), [(0.26149, "0.261"), (7, "7"), (2379.4, "2379"), (np.nan, "–")]
 )
 def test_a_figure_has_three_digits(value, text):
+    """Figures have three significant digits, and all digits of their whole part."""
     assert figure_text(value) == text
 
 
 def test_residuals_are_those_of_the_state():
-    """They sum to ‖b − A u‖: all of the load before a solve, next to nothing after it."""
+    """The subdomains' residuals sum to ‖b − A u‖, before and after a solve."""
     problem = torn(poisson(cube(2, 6)), 5, ksp_rtol=1e-10)
     before = problem.diagnose().residuals
     _, b = problem.linear_system()
@@ -84,7 +86,7 @@ def test_residuals_are_those_of_the_state():
 
 
 def test_next_newton_step():
-    """Of a wall with a condensed pressure; the residual is that of Newton's method."""
+    """The residual of a wall with a condensed pressure is that of Newton's method."""
     body = wall(tube(around=8, along=2), degree=2)
     problem = body.problem(4, {})
     body.inflate(problem, [1.0])
@@ -98,7 +100,7 @@ def test_next_newton_step():
 
 
 def test_without_a_load():
-    """A random right-hand side takes its place, for the condition number."""
+    """Without a load the condition number is estimated with a random right-hand side."""
     problem = wall(tube(around=8, along=1), degree=1).problem(4, {})
     found = problem.diagnose()
     agree(found.iterations >= 0 and found.message == "")
@@ -106,7 +108,7 @@ def test_without_a_load():
 
 
 def test_solve_that_fails():
-    """There are no figures of a solver; the message has the reason."""
+    """The report of a failed solve has its reason, and no figures of the solver."""
     found = torn(elasticity(cube(3, 3), clamped=None), 4).diagnose()
     agree(found.report is None and found.advice == () and found.figures is None)
     agree("singular" in found.message and "singular" in str(found))
@@ -124,6 +126,7 @@ def advises(quantity, wrong, *right):
 
 
 def test_few_and_many_dofs(monkeypatch):
+    """Subdomains with too few or too many dofs cause advice."""
     body = elasticity(cube(2, 30))
     few = torn(body, 8 * COMM.size)
     many = torn(body, COMM.size)
@@ -134,7 +137,7 @@ def test_few_and_many_dofs(monkeypatch):
 
 
 def test_one_subdomain_for_each_process_is_not_too_small():
-    """There is no such advice, as there can be no fewer subdomains."""
+    """One subdomain on each process is not called too small, as fewer are impossible."""
     problem = torn(poisson(cube(2, 6)), COMM.size)
     problem.solve()
     found = problem.diagnose()
@@ -143,7 +146,7 @@ def test_one_subdomain_for_each_process_is_not_too_small():
 
 
 def test_many_iterations(monkeypatch):
-    """Without a preconditioner there are many."""
+    """Many iterations, as without a preconditioner, cause advice."""
     monkeypatch.setattr(advice, "FEW_DOFS", 0)
     body = elasticity(cube(3, 4))
     weak = {"feti_pc_type": "identity", "feti_coarse_modes": 0}
@@ -153,6 +156,7 @@ def test_many_iterations(monkeypatch):
 
 
 def test_uneven_subdomains():
+    """Subdomains of very different sizes cause advice."""
     body = poisson(cube(2, 12))
     cells = np.arange(body.cells)
     last = np.maximum(cells - int(0.95 * body.cells), 0)  # the first part has nearly all cells
@@ -160,7 +164,7 @@ def test_uneven_subdomains():
 
 
 def layered(hard):
-    """Return a body, the same with layers that are 1e5 times as stiff, and its midpoints' x₁."""
+    """Return a body, the same with layers 1e5 times as stiff, and x₁ of its cells' midpoints."""
     body = poisson(cube(2, 8))
     mesh = body.V.mesh
     factor = ufl.conditional(hard(ufl.SpatialCoordinate(mesh)[1]), 1e5, 1.0)
@@ -170,7 +174,7 @@ def layered(hard):
 
 
 def test_equal_weights_at_a_jump():
-    """Stiff and soft halves, glued with the weights of equals."""
+    """Multiplicity scaling across a jump of stiffness causes advice to use stiffness scaling."""
     body, stiff, height = layered(lambda y: y > 0.5)
     halves = (height > 0.5).astype(np.int32)
     equals = {"feti_scaling": "multiplicity"}
@@ -179,7 +183,7 @@ def test_equal_weights_at_a_jump():
 
 
 def test_no_soft_modes():
-    """In a layered body the paper's coarse space is too small for the weights of equals."""
+    """Layered subdomains without soft modes in the coarse space cause advice to add them."""
     body, hard, _ = layered(lambda y: ufl.sin(8 * np.pi * y) > 0.0)
     n = 6 * COMM.size
     paper = {"feti_coarse_modes": 0}
@@ -189,7 +193,7 @@ def test_no_soft_modes():
 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_locking(degree):
-    """A P1 wall has more pressures than dofs, a P2 wall has not."""
+    """Volumetric locking is reported for a P1–P0 wall, and not for a P2–P0 wall."""
     body = wall(tube(around=8, along=2), degree=degree, kappa=1e4)
     body.load.value = 0.1
     locks = "stiffness with the pressure over that without" in quantities(body.problem(2, {}))
@@ -197,7 +201,7 @@ def test_locking(degree):
 
 
 def test_indefinite_tangent():
-    """On the ridge between two valleys, and in one of them."""
+    """An indefinite tangent is reported on the ridge between two valleys, and not in a valley."""
     u, energy, bcs = two_wells()
     problem = NonlinearProblem(energy, u, bcs=bcs, subdomains=4)
     agree("negative eigenvalues, at least" in quantities(problem))

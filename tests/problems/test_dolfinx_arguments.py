@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The arguments and attributes of dolfinx's problem classes, 0.9 to 0.11: served, or answered."""
+"""Arguments and attributes of the problem classes of dolfinx 0.9 to 0.11 work, or are refused."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LAST = COMM.rank == COMM.size - 1
 
 @pytest.fixture
 def heat():
-    """Poisson's equation, and its solution."""
+    """Poisson's equation, and its reference solution."""
     body = poisson(cube(2, 4))
     u = LinearProblem(body.a, body.L, body.bcs, subdomains=4).solve()
     return SimpleNamespace(a=body.a, L=body.L, bcs=body.bcs, V=body.V, u=u)
@@ -38,7 +38,7 @@ def heat():
 
 @pytest.fixture
 def rubber():
-    """A block, its residual and tangent, at rest."""
+    """A block at rest, with its residual and tangent."""
     body = block(yeoh, (0.3, 0.1))
     F = ufl.derivative(body.energy, body.u, ufl.TestFunction(body.u.function_space))
     return SimpleNamespace(F=F, J=ufl.derivative(F, body.u), u=body.u, bcs=body.bcs)
@@ -48,7 +48,7 @@ def rubber():
 
 
 def test_positional_arguments(heat, rubber):
-    """As in dolfinx 0.9, all arguments may be positional."""
+    """All arguments may be positional, in the order of dolfinx 0.9."""
     u = dolfinx.fem.Function(heat.V)
     problem = LinearProblem(heat.a, heat.L, heat.bcs, u, {"ksp_rtol": 1e-10}, {}, {}, subdomains=4)
     agree(problem.solve() is u is problem.u and problem.solver.getTolerances()[0] == 1e-10)
@@ -58,7 +58,7 @@ def test_positional_arguments(heat, rubber):
 
 
 def test_subdomains_may_be_left_out(heat, rubber):
-    """Then it is dolfinx's call; a small problem has one on each process."""
+    """Without ``subdomains=`` each process has at least one, with an equal solution."""
     problem = LinearProblem(heat.a, heat.L, heat.bcs)
     for each in (problem, NonlinearProblem(rubber.F, rubber.u, rubber.bcs)):
         each.solve()
@@ -67,7 +67,7 @@ def test_subdomains_may_be_left_out(heat, rubber):
 
 
 def test_no_conditions(heat, rubber):
-    """None, an empty list and an empty tuple are the same."""
+    """``bcs=`` may be None, an empty list or an empty tuple, with equal solutions."""
     mass = heat.a + ufl.TrialFunction(heat.V) * ufl.TestFunction(heat.V) * ufl.dx
     for bcs in (None, [], ()):
         problem = LinearProblem(mass, heat.L, bcs=bcs, subdomains=4)
@@ -79,7 +79,7 @@ def test_no_conditions(heat, rubber):
 
 
 def test_options_of_the_compilers(heat, rubber, tmp_path):
-    """They reach both, and are not added to; the folder keeps the package's own kernels, too."""
+    """Compiler options reach FFCx and the package's own kernels, and are not modified."""
     form_options = {"epsilon": 1e-13}
     jit_options = {"cache_dir": str(tmp_path / "forms")}
     options = {"form_compiler_options": form_options, "jit_options": jit_options}
@@ -94,7 +94,7 @@ def test_options_of_the_compilers(heat, rubber, tmp_path):
 
 
 def test_default_prefixes(heat, rubber):
-    """Unique, and equal on all processes also if some have made a problem of their own."""
+    """Default prefixes are unique, and equal on all processes."""
     if LAST:
         own = poisson(cube(2, 2, comm=MPI.COMM_SELF))
         LinearProblem(own.a, own.L, own.bcs, subdomains=2).solve()
@@ -110,6 +110,7 @@ def test_default_prefixes(heat, rubber):
 @pytest.mark.skipif(COMM.size == 1, reason="there is one process only")
 @pytest.mark.parametrize("other", ["other_", None])
 def test_prefix_that_is_not_the_same_on_all(heat, other):
+    """A prefix that differs between processes is refused on all of them."""
     with raises(ValueError, "petsc_options_prefix is 'same_' on process 0 and .* on process .: gi"):
         prefix = other if LAST else "same_"
         LinearProblem(heat.a, heat.L, heat.bcs, subdomains=4, petsc_options_prefix=prefix)
@@ -140,7 +141,7 @@ SHARED = {
 @pytest.mark.serial
 @pytest.mark.parametrize("problem", [LinearProblem, NonlinearProblem])
 def test_signature_shows_all_arguments(problem):
-    """As help(), Tab and editors read it: each with a type, a default, and a description."""
+    """``help()`` shows each argument with type, default and description."""
     parameters = inspect.signature(problem).parameters
     defaults = {name: parameters[name].default for name in SHARED if name in parameters}
     assert defaults == SHARED
@@ -158,6 +159,7 @@ def test_signature_shows_all_arguments(problem):
 
 
 def test_preconditioner_and_kind(heat, rubber, caplog):
+    """``P``, ``kind`` and ``entity_maps`` of dolfinx are accepted, and logged as without effect."""
     unused = {"P": heat.a, "kind": "mpi", "entity_maps": []}
     problem = LinearProblem(heat.a, heat.L, bcs=heat.bcs, subdomains=4, **unused)
     equal(owned(problem.solve()), owned(heat.u), 1e-6)
@@ -168,7 +170,7 @@ def test_preconditioner_and_kind(heat, rubber, caplog):
 
 
 def test_newton_solver(rubber):
-    """What dolfinx 0.9 did with a NonlinearProblem; from 0.10 it is a class of another name."""
+    """Attributes that dolfinx 0.9's NewtonSolver needs raise an error: call problem.solve()."""
     problem = NonlinearProblem(rubber.F, rubber.u, rubber.bcs, subdomains=4)
     with raises(AttributeError, "'L'; it drives Newton's method itself: call problem.solve()"):
         dolfinx.fem.petsc.create_vector(problem.L)
@@ -181,7 +183,7 @@ def test_newton_solver(rubber):
 
 
 def test_subclass_that_hands_its_keywords_on(rubber):
-    """As in an adapter: its signature does not show the keywords of the base class."""
+    """A subclass with ``**kwargs`` may pass keywords to the base class."""
 
     class Adapted(NonlinearProblem):
         def __init__(self, *args: object, **kwargs: object) -> None:
@@ -196,7 +198,7 @@ def test_subclass_that_hands_its_keywords_on(rubber):
 
 
 def check_common(problem, bcs, prefix):
-    """What both problems have, after a solve."""
+    """Check the attributes that both problem classes have after a solve."""
     agree(problem.P_mat is None and problem.preconditioner is None)
     agree(problem.bcs == tuple(bcs))
     names = {made.getOptionsPrefix() for made in (problem.A, problem.b, problem.x)}
@@ -205,6 +207,7 @@ def check_common(problem, bcs, prefix):
 
 
 def test_attributes_of_a_linear_problem(heat):
+    """LinearProblem has the attributes of dolfinx's class."""
     problem = LinearProblem(heat.a, heat.L, heat.bcs, subdomains=4, petsc_options_prefix="heat_")
     uh = problem.solve()
     check_common(problem, heat.bcs, "heat_")
@@ -226,6 +229,7 @@ def test_attributes_of_a_linear_problem(heat):
 
 
 def test_attributes_of_a_nonlinear_problem(rubber):
+    """NonlinearProblem has the attributes of dolfinx's class."""
     common = {"subdomains": 4, "petsc_options_prefix": "rubber_"}
     problem = NonlinearProblem(rubber.F, rubber.u, rubber.bcs, **common)
     problem.solve()
@@ -243,7 +247,7 @@ def test_attributes_of_a_nonlinear_problem(rubber):
 
 
 def test_values_of_conditions_may_change(heat):
-    """Their dofs may not: the conditions are a tuple."""
+    """New values of conditions are used in the next solve; their dofs are fixed."""
     value = dolfinx.fem.Constant(heat.V.mesh, 0.0)
     held = dolfinx.fem.dirichletbc(value, heat.bcs[0].dof_indices()[0], heat.V)
     problem = LinearProblem(heat.a, heat.L, [held], subdomains=4)
@@ -256,7 +260,7 @@ def test_values_of_conditions_may_change(heat):
 
 
 def elastic(mesh):
-    """Return the spaces of Taylor and Hood's elements, alone, mixed and in parts."""
+    """Return Taylor–Hood spaces: displacement, pressure, and both as a mixed space."""
     cell = mesh.basix_cell()
     dim = mesh.geometry.dim
     parts = basix.ufl.element("P", cell, 2, shape=(dim,)), basix.ufl.element("P", cell, 1)
@@ -266,7 +270,7 @@ def elastic(mesh):
 
 
 def rows(u, p, v, q):
-    """Both rows of linear elasticity with a pressure, and its load sideways."""
+    """Return both rows of linear elasticity with a pressure, and a sideways load."""
     inside = 2 * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) + p * ufl.div(v)
     below = (ufl.div(u) - p / 100.0) * q
     return inside * ufl.dx, below * ufl.dx, v[len(v) - 1] * ufl.dx
@@ -335,6 +339,7 @@ WAYS = {way: SOLID for way in SOLIDS} | {
 @pytest.mark.parametrize(("way", "text"), WAYS.items())
 @pytest.mark.parametrize("cell", [Cell.tetrahedron, Cell.quadrilateral])
 def test_one_message(way, text, cell):
+    """Each mixed problem that cannot be torn raises the one error that names its remedy."""
     mesh = cube(3, 1) if cell == Cell.tetrahedron else cube(2, 2, cell)
     kind = TypeError if way in (linear_mixed, nonlinear_mixed, flux) else ValueError
     with raises(kind, f"(of|has) [23].*but only a problem on one continuous space is torn. {text}"):

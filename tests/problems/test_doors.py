@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""What a dolfinx script does besides solving: new conditions, kernels, points, condensed blocks."""
+"""Features of dolfinx scripts: new conditions, null spaces, point loads, condensed blocks."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ KINDS = [{"feti_type": "all_floating"}, {"feti_type": "classical"}, {"feti_formu
 
 
 def direct(a, L, bcs):
-    """Solve by dolfinx and MUMPS; return the owned values."""
+    """Solve by dolfinx and MUMPS, and return the owned values."""
     return Problem(L.arguments()[0].ufl_function_space(), a, L, bcs).solve_directly()
 
 
 def create(a, L, *, nonlinear, **arguments):
-    """Make a problem, or the same one by its residual."""
+    """Create a linear problem, or the nonlinear one with the same residual."""
     arguments = {"subdomains": 4, "petsc_options": RTOL} | arguments
     if not nonlinear:
         return LinearProblem(a, L, **arguments)
@@ -57,7 +57,7 @@ def create(a, L, *, nonlinear, **arguments):
 @pytest.mark.parametrize("options", KINDS)
 @pytest.mark.parametrize("make", [poisson, elasticity])
 def test_conditions_are_replaced(make, options):
-    """More dofs, others, another value, one component, and the first ones again."""
+    """After ``bcs`` is replaced, solutions are those of the new conditions."""
     body = make(cube(2, 6))
     V = body.V
     first = [dirichlet(body.V, left)]
@@ -77,12 +77,15 @@ def test_conditions_are_replaced(make, options):
 
 
 def from_five_to_zero(unit, x):
-    """Return the values 5 (1 − x₀) of u₀ in a unit, and 0 of u₁."""
+    """Return the values 5 (1 − x₀) of u₀, times a unit, and 0 of u₁."""
     return 5.0 * unit * (1 - x[:2]) * [[1.0], [0.0]]
 
 
 def test_vector_that_is_no_displacement():
-    """(1 + |u|²) Δu from 5 to 0: w + w³/3 is linear, in any unit of u; steps as in Newton's own."""
+    """A vector without kinematics is solved up to any size, as no det F is watched.
+
+    (1 + |u|²) Δu = 0 with u₀ from 5 to 0: w + w³/3 is linear in x, in any unit of u.
+    """
     mesh = cube(2, 8)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     v = ufl.TestFunction(V)
@@ -101,7 +104,7 @@ def test_vector_that_is_no_displacement():
 
 
 def test_what_tells_a_displacement():
-    """Det F is watched where the forms have kinematics: in an energy, a residual, its parts."""
+    """Det F is watched if the forms contain kinematics of finite strain, and only then."""
     V = dolfinx.fem.functionspace(cube(2, 2), ("Lagrange", 1, (2,)))
     u = dolfinx.fem.Function(V)
     v = ufl.TestFunction(V)
@@ -129,6 +132,7 @@ def test_what_tells_a_displacement():
 @pytest.mark.parametrize("nonlinear", [False, True])
 @pytest.mark.parametrize("way", ["argument", "matrix"])
 def test_near_null_space_is_the_users(way, nonlinear):
+    """A near null space of the user is kept, passed as an argument or set on the matrix."""
     body = elasticity(cube(2, 6))
     x = body.V.tabulate_dof_coordinates()[: body.V.dofmap.index_map.size_local, :2]
     points = PETSc.Vec().createWithArray(x.ravel(), bsize=2, comm=COMM)
@@ -145,7 +149,7 @@ def test_near_null_space_is_the_users(way, nonlinear):
 
 @pytest.mark.parametrize("nonlinear", [False, True])
 def test_null_space(nonlinear):
-    """Poisson's equation with natural conditions, for a load in balance; the mean is zero."""
+    """With ``null_space=`` a singular problem in balance has the solution of mean zero."""
     mesh = cube(2, 8)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = ufl.TrialFunction(V)
@@ -160,7 +164,7 @@ def test_null_space(nonlinear):
 
 
 def test_force_at_a_point():
-    """A load that no form has, added to the vector."""
+    """A force added to a dof of the vector is balanced by the residual of the solution."""
     body = elasticity(cube(2, 6))
     problem = create(body.a, body.L, nonlinear=False, bcs=body.bcs)
     corner = dolfinx.fem.locate_dofs_geometrical(
@@ -183,7 +187,7 @@ def test_force_at_a_point():
 
 @pytest.mark.skipif(not has_vertex_integrals(), reason="dolfinx 0.9 has no vertex integrals")
 def test_springs_at_points():
-    """K u v at some vertices, each once in any decomposition."""
+    """Vertex integrals count each vertex once, whatever the decomposition."""
     mesh = cube(2, 6)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     mesh.topology.create_entities(0)
@@ -209,7 +213,7 @@ PAIRS = [
 @pytest.mark.parametrize("blocks", [False, True])
 @pytest.mark.parametrize(("cell", "pressure", "fields"), PAIRS)
 def test_condensed_linear_problem(cell, pressure, fields, blocks):
-    """Nearly incompressible elasticity is the nonlinear problem's first step; θ beside p, too."""
+    """A condensed linear problem has the solution of the nonlinear problem's first Newton step."""
     mesh = cube(2, 5, getattr(Cell, cell))
     element = basix.ufl.element("Lagrange", cell, 2, shape=(2,))
     if pressure == ("DG", 1):
@@ -251,7 +255,7 @@ def test_condensed_linear_problem(cell, pressure, fields, blocks):
 
 
 def test_condensed_linear_problem_beside_scalars():
-    """A mean displacement that is prescribed: the same as with p = κ div u put in by hand."""
+    """With a mean displacement prescribed, condensing p = κ div u equals substituting it."""
     mesh = cube(2, 4)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
     p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 1)), name="p")
@@ -288,7 +292,7 @@ def test_condensed_linear_problem_beside_scalars():
 
 
 def test_scalars_meet_other_conditions():
-    """New conditions, a cavity's kind of check included, and the first ones again."""
+    """A problem with scalar unknowns uses replaced conditions, and refuses to have no free dof."""
     body = poisson(cube(2, 6))
     V = body.V
     some = [dirichlet(body.V, left)]
@@ -317,7 +321,7 @@ LENGTH = 2.5
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("ends", ["held", "springs", "one held"])
 def test_any_number_of_intervals(degree, ends, options):
-    """−k u″ = 1 with u = 0, or −k u′ = k u, at the ends; in any unit of k."""
+    """Bars of any number of intervals have their closed forms, in any unit of k."""
     mesh = dolfinx.mesh.create_interval(COMM, 40, [0.0, LENGTH])
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree))
     u = ufl.TrialFunction(V)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Scripts for dolfinx, in ``drop_in/``, run with the two documented changes, also their options."""
+"""The scripts in ``drop_in/`` run with the two documented changes, their options included."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ RECENT = hasattr(dolfinx.fem.petsc, "NewtonSolverNonlinearProblem")
 
 
 def run(text: str) -> SimpleNamespace:
-    """Run a script; return its names. Options that dolfinx has left behind are removed."""
+    """Run a script and return its names; remove the options that dolfinx leaves behind."""
     names: dict[str, Any] = {"__name__": "script"}
     before = PETSc.Options().getAll()
     exec(compile(text, "script", "exec"), names)
@@ -45,13 +45,13 @@ def run(text: str) -> SimpleNamespace:
 
 
 def original(name: str) -> str:
-    """Return a script for the dolfinx that is here: 0.9 takes no prefix."""
+    """Return a script for the installed dolfinx; 0.9 takes no prefix."""
     text = (SCRIPTS / f"{name}.py").read_text(encoding="utf-8")
     return text if RECENT else re.sub(r" *petsc_options_prefix=.*\n", "", text)
 
 
 def changed(name: str) -> str:
-    """Return a script with its import and its call changed, one line each."""
+    """Return a script with the two documented changes, one line each."""
     text = (SCRIPTS / f"{name}.py").read_text(encoding="utf-8")
     text, imports = re.subn("from dolfinx.fem.petsc import", "from dolfinx_feti import", text)
     text, calls = re.subn(r"( *)(petsc_options_prefix=)", r"\1subdomains=8, \2", text)
@@ -60,13 +60,14 @@ def changed(name: str) -> str:
 
 
 def difference(u: dolfinx.fem.Function, v: dolfinx.fem.Function) -> float:
-    """Return ‖u − v‖/‖v‖ of functions on meshes that were made alike, but distributed anew."""
+    """Return ‖u − v‖/‖v‖ of functions on equal meshes that are distributed differently."""
     here = by_place(u)
     there = by_place(v)
     return float(np.linalg.norm(here - there) / np.linalg.norm(there))
 
 
 def test_linear_script(caplog):
+    """The elasticity script has dolfinx's solution after its import and call are changed."""
     expected = run(original("elasticity")).uh
     found = run(changed("elasticity"))
     small(difference(found.uh, expected), 1e-6)
@@ -79,6 +80,7 @@ def test_linear_script(caplog):
 
 
 def test_nonlinear_script():
+    """The cantilever script has dolfinx's solution after its import and call are changed."""
     found = run(changed("tutorial"))
     u = found.u
     F = found.residual
@@ -102,11 +104,12 @@ ROUNDING = 1e-11
 
 
 def linear(options):
+    """Create Poisson's problem with PETSc options."""
     return torn(elasticity(cube(2, 4)), prefix="old_", **options)
 
 
 def logged(caplog):
-    """Return the warnings, and forget them."""
+    """Return the logged warnings, and clear the log."""
     texts = [record.message for record in caplog.records if record.levelno == logging.WARNING]
     caplog.clear()
     agree(len(texts) <= 1, texts)
@@ -115,6 +118,7 @@ def logged(caplog):
 
 @pytest.mark.parametrize("by", ["argument", "command line"])
 def test_options_of_a_linear_problem(by, caplog):
+    """Options of a direct solver have no effect but one warning that lists them."""
     expected = linear({})
     expected.solve()
     agree(not logged(caplog))
@@ -132,6 +136,7 @@ def test_options_of_a_linear_problem(by, caplog):
 
 
 def test_options_of_a_nonlinear_problem(caplog):
+    """Options of SNES and of a direct solver have no effect but a warning that lists them."""
     body = block(yeoh, (0.3, 0.1))
     other = block(yeoh, (0.3, 0.1))
     body.problem().solve()
@@ -145,7 +150,7 @@ def test_options_of_a_nonlinear_problem(caplog):
 
 @pytest.mark.parametrize("name", ["ksp_error_if_not_converged", "snes_error_if_not_converged"])
 def test_error_if_not_converged(name):
-    """The package's own error says it better than a number of PETSc's."""
+    """With ``error_if_not_converged`` a failed solve raises the package's error, not PETSc's."""
     with raises(ConvergenceError, "ksp_max_it"):
         block(yeoh, (0.3, 0.1)).problem({name: True, "ksp_max_it": 1}).solve()
     with raises(ConvergenceError, "FETI did not converge: .*old_ksp_max_it"):
@@ -153,7 +158,7 @@ def test_error_if_not_converged(name):
 
 
 def test_error_if_not_converged_by_a_call():
-    """As by an option; a call that is repeated before each solve, as pulse does, is kept."""
+    """``setErrorIfNotConverged`` acts as the option does, also if repeated before each solve."""
     nonlinear = block(yeoh, (0.3, 0.1)).problem({"snes_max_it": 1})
     for solver in (nonlinear.solver, nonlinear.solver.getKSP()):
         solver.setErrorIfNotConverged(True)
@@ -169,7 +174,7 @@ def test_error_if_not_converged_by_a_call():
 
 
 def test_options_without_a_log(caplog):
-    """Of FETI itself, whose context stays the one of the problem, and without the prefix."""
+    """A FETI that is created by options records its iterations, and logs no warning."""
     with inserted("", {"pc_type": "lu"}):
         problem = linear({"ksp_type": "python", "ksp_python_type": "dolfinx_feti.FETI"})
         problem.solve()

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Functions that a script sets on ``problem.solver``: called as PETSc calls them, or refused."""
+"""Functions that a script sets on ``problem.solver`` are called as PETSc does, or refused."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Diffusion:
 
 
 def test_update_is_called_before_each_step():
-    """With the number of the step, and its arguments; not after the last one."""
+    """``setUpdate`` is called with the step number before each step, and not after the last one."""
     calls = []
     problem = Diffusion().problem()
 
@@ -60,7 +60,7 @@ def test_update_is_called_before_each_step():
 
 
 def test_update_changes_a_coefficient():
-    """A source that update sets counts in the same step: the solution is that of the new one."""
+    """A source that ``setUpdate`` changes is used in the same step."""
     expected = Diffusion()
     expected.source.value = 5.0
     expected.problem().solve()
@@ -76,7 +76,7 @@ def test_update_changes_a_coefficient():
 
 
 def test_update_changes_the_energy():
-    """The line search compares a step with the energy after the update, not with that before."""
+    """The line search compares with the energy after the update, not before it."""
 
     def rim(x):
         return np.any(np.isclose(x[:2] * (1.0 - x[:2]), 0.0), axis=0)
@@ -107,7 +107,7 @@ def test_update_changes_the_energy():
 
 @pytest.mark.parametrize("way", ["solution", "function"])
 def test_update_changes_the_state(way):
-    """Of the SNES's vector or of u: the step begins there."""
+    """A step starts from the state that the update writes to u or to the SNES's vector."""
     body = Diffusion()
     problem = body.problem()
     norms = []
@@ -132,7 +132,7 @@ def test_update_changes_the_state(way):
 
 
 def test_own_test_ends_the_solve():
-    """PETSc's norms: those of x, of the step, and of the residual with u − g of prescribed dofs."""
+    """A convergence test receives PETSc's norms of x, the step and the residual."""
     body = Diffusion(start=0.0)
     problem = body.problem()
     seen = []
@@ -159,7 +159,7 @@ def test_own_test_ends_the_solve():
 
 
 def test_own_test_against_petscs_newton():
-    """PETSc's own Newton's method, by getFunction and getJacobian, hands over the same norms."""
+    """A convergence test receives the same norms from PETSc's own Newton's method."""
     body = Diffusion()
     problem = body.problem(petsc_options={"ksp_rtol": 1e-12})
     found = {"own": [], "PETSc": []}
@@ -193,7 +193,7 @@ def test_own_test_against_petscs_newton():
 
 
 def test_own_test_decides_alone():
-    """It may go on below the tolerances, end above them, and end a solve in failure."""
+    """A convergence test alone decides whether a solve continues, converges or fails."""
     problem = Diffusion().problem(petsc_options={"snes_rtol": 1e-2})
     problem.solver.setConvergenceTest(lambda snes, step, norms: step == 7)
     problem.solve()
@@ -213,7 +213,7 @@ def test_own_test_decides_alone():
 
 @pytest.mark.parametrize("way", ["call", "option"])
 def test_petscs_own_tests(way):
-    """``skip`` takes all steps; ``default`` of PETSc is relative to the first norm alone."""
+    """PETSc's convergence test ``skip`` takes all steps, and ``default`` converges by rtol."""
     options = {"snes_max_it": 4}
     skip = {"snes_convergence_test": "skip"} if way == "option" else {}
     problem = Diffusion().problem(petsc_options={**options, **skip})
@@ -230,7 +230,7 @@ def test_petscs_own_tests(way):
 
 
 def test_processes_that_disagree_go_on():
-    """A test that is met on one process alone ends the solve on none."""
+    """A convergence test that is met on only one process does not end the solve."""
     problem = Diffusion().problem()
     most = COMM.size + 1
 
@@ -244,7 +244,7 @@ def test_processes_that_disagree_go_on():
 
 @pytest.mark.parametrize("hook", ["setUpdate", "setConvergenceTest"])
 def test_hook_that_fails_on_one_process(hook):
-    """Its error leaves the solve on all, and the next solve works."""
+    """An error in a hook on one process is raised on all, and the next solve works."""
     problem = Diffusion().problem()
 
     def fail(*arguments):
@@ -272,7 +272,7 @@ REFUSED = {
 @pytest.mark.parametrize("when", ["before", "after"])
 @pytest.mark.parametrize("hook", REFUSED)
 def test_foreign_functions_are_refused(hook, when):
-    """Before the first solve and after one; set on one process alone, on all."""
+    """Hooks that would have no effect are refused by name, set before or after a solve."""
     body = Diffusion()
     problem = body.problem()
     if when == "after":
@@ -287,6 +287,7 @@ def test_foreign_functions_are_refused(hook, when):
 
 
 def test_foreign_function_on_one_process():
+    """A hook without effect that is set on one process only is refused on all."""
     problem = Diffusion().problem()
     if COMM.rank == 0:
         problem.solver.setAttr("__objective__", (max, (), {}))
@@ -299,6 +300,7 @@ VI = ["vinewtonrsls", "vinewtonssls"]
 
 @pytest.mark.parametrize("kind", VI)
 def test_variational_inequalities_by_option(kind):
+    """The option snes_type refuses variational inequalities, and recommends a penalty."""
     with raises(ValueError, f"hooked_snes_type {kind} asks for bounds .*penalty"):
         Diffusion().problem(petsc_options={"snes_type": kind}, petsc_options_prefix="hooked_")
     key = "hooked_snes_type"
@@ -313,7 +315,7 @@ def test_variational_inequalities_by_option(kind):
 @pytest.mark.parametrize("solved", [False, True])
 @pytest.mark.parametrize("kind", [*VI, None])
 def test_bounds(kind, solved):
-    """Before and after a solve, with a type of PETSc's and without."""
+    """Bounds on the unknown are refused with u unchanged, before and after a solve."""
     body = Diffusion()
     problem = body.problem()
     if solved:
@@ -342,6 +344,7 @@ OTHER_SOLVERS = {
 
 @each("change", OTHER_SOLVERS)
 def test_other_solvers_are_refused(change):
+    """Other types of the SNES or its KSP, and nonlinear preconditioners, are refused."""
     problem = Diffusion().problem()
     change(problem.solver)
     with raises(ValueError, r"problem\.solver.* has (the type|a nonlinear preconditioner)"):
@@ -349,6 +352,7 @@ def test_other_solvers_are_refused(change):
 
 
 def test_another_solver_of_a_linear_problem_is_refused():
+    """A linear problem refuses another type of its KSP."""
     V = Diffusion().u.function_space
     u = ufl.TrialFunction(V)
     v = ufl.TestFunction(V)
@@ -364,7 +368,7 @@ def test_another_solver_of_a_linear_problem_is_refused():
 
 
 def test_hooks_in_load_steps():
-    """Each step of a load calls update from zero on, and the test decides on each."""
+    """Each load step counts its updates from zero, and the convergence test ends each solve."""
     body = Diffusion()
     problem = body.problem()
     starts = []

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The line search along one unknown."""
+"""Step lengths of the line search on problems with one unknown."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ pytestmark = pytest.mark.serial
 
 
 def unchanged(r):
-    """Return a residual: no dof is fixed."""
+    """Return the residual itself, as no dof is fixed."""
     return r
 
 
 class OneUnknown:
-    """A System with r(u) and perhaps Π(u); its cells are inverted if ``inverted(u)``."""
+    """A System with r(u) and perhaps Π(u), whose cells are inverted if ``inverted(u)``."""
 
     def __init__(self, r, potential=None, inverted=lambda u: False, moves=False):
         self.u = 0.0
@@ -80,7 +80,7 @@ def line_of(system: OneUnknown, *, shifted: bool = False) -> Line:
 
 
 def step_along(system: OneUnknown, line: Line) -> Trial:
-    """Return the trial where the step along a line ends."""
+    """Return the trial that the line search accepts."""
     return find_step_length(line, StepTest(system, line))
 
 
@@ -95,7 +95,7 @@ def search(system: OneUnknown, *, shifted: bool = False) -> float:
 
 
 def valley(pit):
-    """Return r(u), constant on each side of a pit with opposite signs, and a potential."""
+    """Return r(u) of opposite signs on the two sides of a pit, and its potential."""
     return {
         "r": lambda u: -1.0 if u < pit else 1.0,
         "potential": lambda u: -min(u, pit) + max(u - pit, 0.0) / 4,
@@ -128,11 +128,12 @@ CASES = {
 
 @each(("system", "shifted", "alpha"), CASES)
 def test_step_length(system, shifted, alpha):
+    """The step length of each case is the one worked out by hand."""
     assert search(OneUnknown(**system), shifted=shifted) == alpha
 
 
 def test_only_trials_that_are_needed():
-    """A whole step is one trial, a halved one has those before it."""
+    """The line search evaluates no trial beyond those that decide the step length."""
     for system, visited in ((SINGLE, [1.0]), (CASES["NaN"][0], [1.0, 0.5, 0.25])):
         one = OneUnknown(**system)
         search(one)
@@ -143,7 +144,7 @@ def test_only_trials_that_are_needed():
 @pytest.mark.parametrize("jump", [1.0, 20.0, 1e6])
 @pytest.mark.parametrize("kink", [0.9, 0.06, 1e-5])
 def test_a_step_ends_close_to_a_kink(kink, jump, energy):
-    """g(α)/g(0) is 1 up to the kink and −jump after it: no other step length is close."""
+    """A step ends just before a kink of the energy, where g(α)/g(0) jumps from 1 to −jump."""
 
     def potential(u):
         return -u if u < kink else jump * (u - kink) - kink
@@ -153,7 +154,7 @@ def test_a_step_ends_close_to_a_kink(kink, jump, energy):
 
 
 class Tenth:
-    """A line search of a user: α = 1/10 in each step."""
+    """A user's line search that takes α = 1/10 in each step."""
 
     def serves(self, line):
         return True
@@ -163,13 +164,13 @@ class Tenth:
 
 
 def test_a_further_search_is_a_class_and_an_entry(monkeypatch):
-    """The first one in the list that serves a direction is used; the default search comes last."""
+    """A line search added to ``SPECIAL_SEARCHES`` precedes the default one."""
     monkeypatch.setattr(line_search, "SPECIAL_SEARCHES", (*line_search.SPECIAL_SEARCHES, Tenth()))
     assert search(OneUnknown(**SINGLE)) == 0.1
 
 
 def test_contact_takes_whole_steps_and_shortens_those_that_invert_a_cell():
-    """g(1)/g(0) = −3 overshoots; with contact it is a whole step all the same."""
+    """With contact a whole step may overshoot, g(1)/g(0) = −3, but must not invert a cell."""
     for inverted, alpha in ((lambda u: False, 1.0), (lambda u: u > 0.6, 0.25)):
         system = OneUnknown(lambda u: 4.0 * u - 1.0, inverted=inverted)
         line = line_of(system)

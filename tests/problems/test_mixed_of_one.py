@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Spaces of basix.ufl.mixed_element([e]): the same as problems on the space of e."""
+"""Problems on ``mixed_element([e])`` have the solutions of those on the space of e."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TIGHT = {"snes_rtol": 1e-11, "ksp_rtol": 1e-12}
 
 @pytest.fixture(params=["scalar", "vector"])
 def body(request):
-    """Values on two sides, on the whole part and on a component of a vector."""
+    """A square with prescribed values on two sides, one of them on a component."""
     mesh = cube(2, 6)
     shape = (2,) if request.param == "vector" else ()
     element = basix.ufl.element("Lagrange", "triangle", 2, shape=shape)
@@ -61,7 +61,7 @@ def load(t):
 
 
 def values(f, V):
-    """Return the values of the only part of f in the order of dofs of V."""
+    """Return the values of the only part of f, in the order of the dofs of V."""
     part = dolfinx.fem.Function(V)
     part.interpolate(f.sub(0).collapse())
     part.x.scatter_forward()
@@ -70,7 +70,7 @@ def values(f, V):
 
 @pytest.mark.parametrize("way", ["alone", "list", "tangent"])
 def test_nonlinear(body, way):
-    """Values come back in the Function that was given, which also is the start."""
+    """The solution is written to the Function passed as u, which is also the initial guess."""
     u = dolfinx.fem.Function(body.V)
     w = dolfinx.fem.Function(body.W)
     seen = []
@@ -104,6 +104,8 @@ def test_nonlinear(body, way):
 
 @pytest.mark.parametrize("given", [False, True], ids=["created", "given"])
 def test_linear(body, given):
+    """A linear problem on a mixed space of one part has the solution on that part's space."""
+
     def forms(V):
         f = ufl.TrialFunction(V)
         t = ufl.TestFunction(V)
@@ -122,6 +124,7 @@ def test_linear(body, given):
 
 
 def test_what_is_refused(body):
+    """A mixed space of one part refuses scalar unknowns, and conditions on the part's space."""
     w = dolfinx.fem.Function(body.W)
     (c,) = ufl.split(w)
     (t,) = ufl.TestFunctions(body.W)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Multipliers: cells that keep their volume with a small κ, beside the incompressible problem."""
+"""Volume multipliers with a small κ give the incompressible solution."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ TIGHT = {"snes_rtol": 1e-10, "snes_atol": 1e-14, "ksp_rtol": 1e-10}
 
 
 def part(n):
-    """Return the slice of this process in n entries."""
+    """Return the slice of n entries that this process owns."""
     return slice(n * COMM.rank // COMM.size, n * (COMM.rank + 1) // COMM.size)
 
 
 def test_three_rates_are_gone_after_four_updates():
-    """As in GMRES."""
+    """Anderson's acceleration removes k linear rates in k + 1 updates, as GMRES does."""
     rate = np.array([0.9, 0.7, 0.3, 0.9])[part(4)]
     λ = np.zeros(4)[part(4)]
     anderson = Anderson(COMM, len(λ))
@@ -42,7 +42,7 @@ def test_three_rates_are_gone_after_four_updates():
 
 
 def test_n_unknowns_take_one_more_evaluation():
-    """Though the map itself does not contract; ghosts follow and do not count."""
+    """Anderson's acceleration solves n linear equations in n + 1 updates, also if divergent."""
     n = 12
     random = np.random.default_rng(1)
     A = random.uniform(-0.8, 0.8, (n, n))
@@ -58,7 +58,7 @@ def test_n_unknowns_take_one_more_evaluation():
 
 
 def at_rest(comm: MPI.Comm, element: str, kappa: float) -> Block:
-    """Make a block, with a dilation of one."""
+    """Create a block at rest, with a dilation if the element has one."""
     body = block(comm, element, kappa, n=2)
     for dilation in body.fields[:-1]:
         dilation.x.array[:] = 1.0
@@ -66,13 +66,13 @@ def at_rest(comm: MPI.Comm, element: str, kappa: float) -> Block:
 
 
 def problem(body: Block, tolerance: float) -> NonlinearProblem:
-    """Tear a block into four."""
+    """Create the block's problem with four subdomains."""
     common = {"volume_tolerance": tolerance, "subdomains": 4, "petsc_options": TIGHT}
     return NonlinearProblem(body.energy, body.u, bcs=body.bcs, condense=body.fields, **common)
 
 
 def swelling(body: Block) -> float:
-    """Return the greatest |mean J − 1| of a cell of this process."""
+    """Return the greatest |mean J − 1| of the cells of this process."""
     u = body.u
     mesh = u.function_space.mesh
     q = ufl.TestFunction(dolfinx.fem.functionspace(mesh, ("DG", 0)))
@@ -86,7 +86,7 @@ def swelling(body: Block) -> float:
 
 @pytest.mark.parametrize("element", ELEMENTS[1:])
 def test_the_incompressible_solution(element):
-    """With a κ of ten times the shear modulus the solution is that of κ = ∞."""
+    """With κ ten times the shear modulus, multipliers give the solution of κ = ∞."""
     body = at_rest(COMM, element, 10.0)
     alone = at_rest(MPI.COMM_SELF, element, INCOMPRESSIBLE)
     solved = problem(body, 1e-9)
@@ -101,7 +101,7 @@ def test_the_incompressible_solution(element):
 
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_slope_of_the_potential(element):
-    """With multipliers it is the residual, too, where θ and p obey their equations."""
+    """The relaxed residual with multipliers is the derivative of the potential."""
     body = at_rest(COMM, element, 10.0)
     body.deform()
     with_multipliers = problem(body, 1e-6)
@@ -128,7 +128,7 @@ def test_slope_of_the_potential(element):
 
 
 def test_a_state_brings_its_multipliers_along():
-    """A restored equilibrium has its multipliers, whatever was solved in between."""
+    """A restored equilibrium includes its multipliers, whatever was solved in between."""
     body = at_rest(COMM, "p2-p0-p0", 10.0)
     solved = problem(body, 1e-8)
     solved.solve()
@@ -146,7 +146,7 @@ def test_a_state_brings_its_multipliers_along():
 
 
 def test_load_steps():
-    """A rejected step and one that is halved: each cell keeps its volume at the end."""
+    """Each cell keeps its volume at the end of a path with a rejected and a halved step."""
     body = at_rest(COMM, "q2-p1d", 10.0)
     load = dolfinx.fem.Constant(body.u.function_space.mesh, 0.0)
     body = Block(body.u, body.fields, body.energy + load * body.u[2] * ufl.dx, body.bcs)
@@ -168,6 +168,7 @@ def test_load_steps():
 
 
 def test_a_kappa_that_is_too_small(monkeypatch):
+    """If the volume does not settle within MAX_UPDATES, the error recommends a larger κ."""
     monkeypatch.setattr(multipliers, "MAX_UPDATES", 2)
     solved = problem(at_rest(COMM, "q2-p1d", 1.0), 1e-12)
     with raises(ConvergenceError, "After 2 updates .* is still off by .*: take a larger κ"):

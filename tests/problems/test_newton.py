@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Newton's method on energies of the user's own: how it converges, and how it says it does not."""
+"""Newton's method on energies of the user: convergence, tolerances and monitors."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Reason = PETSc.SNES.ConvergedReason
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("force", [(1.0, -0.5), (1.0, -0.5, 0.3)])
 def test_energy_of_the_users_own(degree, force):
-    """No residual, no tangent, no pressure: an energy is enough, and Newton is quadratic."""
+    """An energy alone suffices, and Newton's method converges quadratically."""
     body = block(yeoh, force, degree=degree)
     start = body.residual()
     problem = body.problem({"snes_rtol": 1e-11})
@@ -45,7 +45,7 @@ def test_energy_of_the_users_own(degree, force):
 
 
 def test_linear_solves_are_as_accurate_as_the_step_deserves():
-    """A tenth of Newton's tolerance is enough; a tolerance that the user gives is kept.
+    """Linear solves reach a tenth of Newton's tolerance, unless the user sets ksp_rtol or ksp_atol.
 
     The formulation is the dual one, whose iterations depend on the tolerance. In the primal one the
     coarse space contains all of so small a body, and each solve takes two iterations.
@@ -69,7 +69,7 @@ def test_linear_solves_are_as_accurate_as_the_step_deserves():
 
 @pytest.mark.parametrize("kappa", [1e4, 1e5])
 def test_a_tangent_is_kept_where_it_leads_to_the_end(kappa, monkeypatch):
-    """To the same solution in fewer tangents; a condensed pressure does not spoil it."""
+    """Reusing a tangent saves tangents and does not change the solution."""
     found = []
     for leads_to_end in (newton.leads_to_end, lambda *_: False):
         monkeypatch.setattr(newton, "leads_to_end", leads_to_end)
@@ -90,7 +90,7 @@ def test_a_tangent_is_kept_where_it_leads_to_the_end(kappa, monkeypatch):
 
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 def test_way_down_from_a_ridge(kind):
-    """Each step lowers the potential, by a shift at first; the last ones are Newton's own."""
+    """From a ridge each step lowers the potential; the last steps have no shift."""
     u, energy, bcs = two_wells()
     problem = NonlinearProblem(energy, u, bcs, subdomains=6, petsc_options={"feti_type": kind})
     form = dolfinx.fem.form(energy)
@@ -117,7 +117,7 @@ def test_way_down_from_a_ridge(kind):
 
 
 def test_residual_alone_goes_where_newton_leads():
-    """Without an energy, a ridge is a solution of F = 0 like any other."""
+    """Without an energy, no shift is applied, and Newton's method may end at a saddle point."""
     u, energy, bcs = two_wells()
     F = ufl.derivative(energy, u, ufl.TestFunction(u.function_space))
     problem = NonlinearProblem(F, u, bcs, subdomains=6)
@@ -129,7 +129,7 @@ def test_residual_alone_goes_where_newton_leads():
 @pytest.mark.parametrize("watched", [True, False])
 @pytest.mark.parametrize("density", [logarithmic, gent])
 def test_step_is_shortened_before_the_energy_ends(density, watched):
-    """The first whole step would turn cells inside out (J ≤ 0), or overstretch chains (NaN)."""
+    """A step is shortened where a whole one leaves the energy's domain, J ≤ 0 or NaN."""
     force = (-3.0, 0.0) if density is logarithmic else (6.0, 0.0)
     body = block(density, force)
     always = dolfinx.fem.Constant(body.u.function_space.mesh, 1.0)
@@ -142,7 +142,7 @@ def test_step_is_shortened_before_the_energy_ends(density, watched):
 
 
 def test_inexact_newton():
-    """Eisenstat and Walker's tolerances save linear iterations and end in the same state."""
+    """The tolerances of Eisenstat and Walker save linear iterations at the same solution."""
     choices = {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": 0.01, "snes_ksp_ew_rtolmax": 0.01}
     states = []
     costs = []
@@ -158,7 +158,7 @@ def test_inexact_newton():
 
 
 def test_tolerance_may_refer_to_another_state():
-    """A share of the large residual of a bad guess is no equilibrium."""
+    """``reference=`` replaces the residual at the start, which a bad guess makes too large."""
     body = block(yeoh, (0.3, 0.1))
     problem = body.problem({"snes_rtol": 1e-2})
     reference = body.residual()
@@ -175,7 +175,7 @@ def test_tolerance_may_refer_to_another_state():
 
 
 def test_tolerances():
-    """Relative and absolute tolerance are the SNES's own."""
+    """Relative and absolute tolerance end a solve with PETSc's converged reasons."""
     runs = []
     for options in ({"snes_rtol": 1e-2}, {"snes_rtol": 1e-9, "snes_atol": 0}, {"snes_atol": 1e-3}):
         body = block(yeoh, (0.3, 0.1))
@@ -190,7 +190,7 @@ def test_tolerances():
 
 
 def test_monitor_and_history_of_the_snes(tmp_path):
-    """PETSc's own monitor writes a line for each residual, and the SNES remembers them."""
+    """PETSc's monitor and convergence history have the residual of each Newton step."""
     file = tmp_path / "monitor"
     body = block(yeoh, (0.3, 0.1))
     problem = body.problem({"snes_monitor": f"ascii:{file}", "snes_linesearch_type": "basic"})

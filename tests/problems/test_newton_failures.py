@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Newton's method that cannot go on: where it stops, why, and what its message says.
+"""If Newton's method fails, its message states where, why and what helps.
 
 What fails on the last process alone fails on all.
 """
@@ -33,7 +33,7 @@ Reason = PETSc.SNES.ConvergedReason
 
 
 def test_load_far_too_big_for_one_step():
-    """300 mmHg in one step are solved, or the error has a remedy; later solves work."""
+    """A load of 300 mmHg in one step converges or names a remedy, and later solves work."""
     body = wall(tube(), degree=1)
     problem = body.problem(2, {"snes_max_it": 15})
     failed = ""
@@ -51,7 +51,7 @@ def test_load_far_too_big_for_one_step():
 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_inverted_start(degree):
-    """J ≤ 0 at the start is found before any work, in one point of a P2 cell, too; u stays."""
+    """A start with det F ≤ 0 at any point is refused before any step, and u is unchanged."""
     body = block(yeoh, (0.1, 0.0), degree=degree)
 
     def inverting(x):
@@ -70,7 +70,7 @@ def test_inverted_start(degree):
 
 
 def test_volume_ratio_of_the_users_own():
-    """Any expression can be kept positive; here u₀ must stay below 0.01, which is too little."""
+    """An expression passed as ``volume_ratio=`` is kept positive, here u₀ < 0.01."""
     body = block(yeoh, (1.0, 0.0))
     with raises(ConvergenceError, "no admissible step length was found: load in smaller steps"):
         body.problem(volume_ratio=0.01 - body.u[0]).solve()
@@ -78,6 +78,7 @@ def test_volume_ratio_of_the_users_own():
 
 
 def test_load_that_is_no_number():
+    """A load of NaN is an error, and the next solve works."""
     body = block(yeoh, (np.nan, 0.0))
     problem = body.problem()
     with raises(ConvergenceError, "NaN or Inf"):
@@ -89,6 +90,7 @@ def test_load_that_is_no_number():
 
 
 def test_too_few_steps():
+    """The error of too few steps names snes_max_it, and the next solve continues from there."""
     body = block(yeoh, (0.3, 0.1))
     problem = body.problem({"snes_max_it": 2})
     with raises(ConvergenceError, "no convergence within 2 steps: .*raise snes_max_it"):
@@ -103,6 +105,7 @@ def test_too_few_steps():
 
 @every_formulation
 def test_failure_of_the_linear_solver(formulation):
+    """A failed linear solve is named as the reason, and u is unchanged."""
     body = block(yeoh, (0.3, 0.1))
     problem = body.problem({"ksp_max_it": 1, "feti_formulation": formulation})
     with raises(
@@ -133,7 +136,7 @@ def arrived(u):
 
 @pytest.mark.parametrize("distance", np.logspace(-15, -9, 7))
 def test_nearly_singular_is_singular_or_solved(distance):
-    """However small K 1 is, the coarse solver does not fail."""
+    """A tangent at any distance from a singular one is solved or reported as singular."""
     u, problem = flat(snes_max_it=1)
     u.x.array[:] = 1.0 + distance
     with raises(ConvergenceError, r"singular|no convergence within 1 steps"):
@@ -144,7 +147,7 @@ def test_nearly_singular_is_singular_or_solved(distance):
 
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 def test_singular_on_the_way_counts_as_indefinite(kind):
-    """With an energy, a tangent that is singular gets a shift."""
+    """With an energy, a singular tangent is shifted and the solve converges."""
     u, problem = flat(feti_type=kind, ksp_rtol=1e-12)
     problem.solve()
     shifts = [step.shift for step in problem.history]
@@ -155,7 +158,7 @@ def test_singular_on_the_way_counts_as_indefinite(kind):
 
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
 def test_singular_tangent_of_a_trial_state(kind):
-    """Without an energy it is reported to a caller with a shorter way; another one gets a shift."""
+    """A singular tangent ends a solve with ``give_up_early``, and is shifted otherwise."""
     u, problem = flat(energy=False, feti_type=kind, ksp_rtol=1e-12)
     with raises(ConvergenceError, "tangent at this trial state is singular.*: begin closer to the"):
         problem.solve(give_up_early=True)
@@ -168,7 +171,7 @@ def test_singular_tangent_of_a_trial_state(kind):
 
 
 def test_singular_tangent_at_the_start():
-    """It lacks supports, unless the state is a predicted one or another step went well before."""
+    """A singular first tangent means missing supports, unless an earlier tangent was regular."""
     u, problem = flat()
     supports = (
         r"linear solver failed: .*singular, with a kernel of dimension 1.*Add Dirichlet conditions"
@@ -199,7 +202,7 @@ def broken(*_: object, **__: object) -> None:
 
 @pytest.mark.parametrize("name", ["form", "Expression"])
 def test_compilation(name, monkeypatch):
-    """One process fails to compile, as if it could not write to its cache."""
+    """A compilation that fails on the last process raises on all."""
     original = getattr(dolfinx.fem, name)
 
     def compiled(*args, **options):
@@ -219,7 +222,7 @@ def test_compilation(name, monkeypatch):
     [("SNES", False), ("KSP", False), ("linear", False), ("KSP", True), ("linear", True)],
 )
 def test_monitor_of_the_users_own(which, collected):
-    """It fails on one process; or on all, while garbage is collected."""
+    """An error in a user's monitor is raised on all processes, during garbage collection too."""
     problem = torn(poisson(cube(2, 4))) if which == "linear" else block(yeoh, (0.3, 0.1)).problem()
     solver = problem.solver.getKSP() if which == "KSP" else problem.solver
 
@@ -248,6 +251,7 @@ WORK = [(Condensation, name) for name in ("assemble", "residual", "condense")]
 
 @pytest.mark.parametrize(("owner", "name"), [*WORK, (DeformationGradient, "_smallest_on_process")])
 def test_work_of_a_step(owner, name, monkeypatch):
+    """An error on the last process in a part of a Newton step is raised on all."""
     body = wall(tube(), degree=1)
     problem = body.problem(4)
     body.load.value = 1.0
@@ -258,7 +262,7 @@ def test_work_of_a_step(owner, name, monkeypatch):
 
 
 def test_potential(monkeypatch):
-    """The pressure is the user's again, on all processes."""
+    """An error in the potential is raised on all, and the pressure has its values from before."""
     body = wall(tube(), degree=1)
     problem = body.problem(4)
     system = problem._system

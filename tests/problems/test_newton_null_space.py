@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Newton's method with a null space of its tangents: a block on rollers that may slide."""
+"""Newton's method on a block that slides on rollers, a null space of its tangents."""
 
 from petsc4py import PETSc
 
@@ -24,7 +24,7 @@ every_unit = pytest.mark.parametrize(
 
 
 def block(kappa, load, formulation, *, unit=1.0, length=1.0, net=0.0):
-    """Pull a block along x by a body force of mean zero, or of a mean that nothing balances."""
+    """Pull a block along x by a body force; only one with mean zero can be balanced."""
     mesh = dolfinx.mesh.create_rectangle(
         COMM,
         [(0.0, 0.0), (2 * length, length)],
@@ -72,7 +72,7 @@ def sliding(u):
 @every_unit
 @pytest.mark.parametrize("kappa", [1.0, 1e2, 1e4])
 def test_last_steps_whose_residual_is_rounding(kappa, unit, length, formulation):
-    """The parts of the load balance each other up to rounding, 1e-9 of the last residuals."""
+    """Solves converge although the last residuals are rounding errors of balanced loads."""
     problem, u = block(kappa, 1e-2, formulation, unit=unit, length=length)
     problem.solve()
     agree(problem.solver.getConvergedReason() > 0)
@@ -83,7 +83,7 @@ def test_last_steps_whose_residual_is_rounding(kappa, unit, length, formulation)
 @every_formulation
 @every_unit
 def test_shifted_tangents(unit, length, formulation):
-    """A long step has indefinite tangents, and the shift resists what the tangent does not."""
+    """A long step with indefinite, shifted tangents converges without sliding."""
     problem, u = block(1e4, 0.5, formulation, unit=unit, length=length)
     problem.solve()
     agree(any(step.shift > 0.0 for step in problem.history))
@@ -96,6 +96,7 @@ def test_shifted_tangents(unit, length, formulation):
 @every_formulation
 @pytest.mark.parametrize("net", [1e-8, 1e-2, 1.0])
 def test_a_load_that_nothing_balances_is_refused(net, formulation):
+    """A load that is not orthogonal to the null space is refused, as nothing balances it."""
     problem, _ = block(1e2, 1e-2, formulation, net=net)
     with raises(ConvergenceError, "not orthogonal to the null space of A"):
         problem.solve()

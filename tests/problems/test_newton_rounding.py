@@ -49,11 +49,12 @@ class Reference(Mixed):
 
 
 def slender(comm, kappa):
+    """Create Land's beam with a bulk modulus."""
     return beam(comm, "symmetric", kappa=kappa, cells=(10, 1, 1))
 
 
 def compare(create, pressures, kappa):
-    """Follow a path of loads with FETI and the reference; return all steps of FETI."""
+    """Follow loads and require the reference's states and tangents; return FETI's Newton steps."""
     body = create(COMM)
     reference = Reference(create(MPI.COMM_SELF))
     problem = body.problem(8)
@@ -80,13 +81,14 @@ ALONE = [pytest.param(*c, marks=pytest.mark.serial) for c in ((1e3, 2), (1e4, 5)
 
 @pytest.mark.parametrize(("kappa", "count"), [(1e5, 2), *ALONE])
 def test_slender_beam(kappa, count):
-    """Land's beam at each κ, in as many steps as the reference."""
+    """A slender beam converges with at most the reference's tangents, to the reference's state."""
     pressures = PRESSURE * np.arange(1, count + 1) / 5
     steps = compare(lambda comm: slender(comm, kappa), pressures, kappa)
     agree((steps[0].linear_floor > 0.0) == (kappa > 1e4), steps[0])
 
 
 def test_tube_with_a_penalty_of_a_million_shear_moduli():
+    """A tube with κ a million times the shear modulus converges as the reference does."""
     kappa = 3e6
     compare(lambda comm: wall(tube(comm), kappa=kappa), [loads.mmhg(5.0), loads.mmhg(10.0)], kappa)
 
@@ -98,7 +100,7 @@ def light_beam(**options):
 
 
 def test_equilibrium_is_solved_for_again():
-    """The residual at the start is rounding; the second solve ends after one step."""
+    """A second solve from equilibrium ends after one step, at the floor of rounding."""
     _, problem = light_beam()
     found = problem.diagnose()
     agree("at the floor of rounding" in str(found), found)
@@ -112,7 +114,7 @@ def test_equilibrium_is_solved_for_again():
 
 
 def test_residual_above_rounding_is_not_converged(monkeypatch):
-    """Errors in the residual, 100 times those of rounding, on purpose."""
+    """A residual 100 times above its rounding floor does not count as converged."""
     _, problem = light_beam(snes_max_it=15)
     system = problem._system
     assembled = type(system).residual
@@ -132,7 +134,7 @@ def test_residual_above_rounding_is_not_converged(monkeypatch):
 
 
 def test_load_below_rounding_is_said(caplog):
-    """The pressure grows by less than what rounding leaves of the stress."""
+    """A load change below rounding causes a warning that recommends larger steps."""
     body, problem = light_beam()
     problem.solve()
     body.load.value *= 1.0 + 1e-8

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""NonlinearProblem as its user meets it: one wall for all decompositions, and its options."""
+"""NonlinearProblem has one solution for all decompositions, and its options work."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PRESSURE = 5.0
 
 @pytest.fixture(scope="module")
 def references() -> dict[int, Wall]:
-    """Walls of degree 1 and 2, solved by each process for itself without the package."""
+    """Solutions of the mixed problem of degree 1 and 2 by dolfinx alone."""
     solved = {}
     for degree in (1, 2):
         body = wall(tube(MPI.COMM_SELF), degree=degree)
@@ -45,7 +45,7 @@ def references() -> dict[int, Wall]:
 
 @pytest.mark.parametrize(("degree", "subdomains"), [(1, 1), (1, 4), (1, "cells"), (2, 1), (2, 16)])
 def test_same_wall_for_all_decompositions(degree, subdomains, references):
-    """On any number of processes and subdomains u and p are those of the mixed problem."""
+    """For any number of processes and subdomains, u and p are those of the mixed problem."""
     body = wall(tube(), degree=degree)
     expected = references[degree]
     cells = COMM.allreduce(body.p.function_space.dofmap.index_map.size_local)
@@ -60,7 +60,7 @@ def test_same_wall_for_all_decompositions(degree, subdomains, references):
 
 @pytest.mark.parametrize("renew", [True, False])
 def test_preconditioner_of_the_last_solve(renew, monkeypatch):
-    """It is kept if asked for, and u is the same."""
+    """``renew`` decides whether the preconditioner is set up again, and does not change u."""
     body = wall(tube(), degree=1)
     other = wall(tube(), degree=1)
     problem = body.problem(4, TIGHT)
@@ -76,6 +76,7 @@ def test_preconditioner_of_the_last_solve(renew, monkeypatch):
 
 
 def test_what_a_problem_offers():
+    """After a solve, ``problem`` and its SNES have dolfinx's attributes and the Newton steps."""
     body = wall(tube(), degree=1)  # and a coarse space without the solution
     problem = body.problem(4, {"feti_coarse_adaptive": 0, "feti_deflation": 0})
     agree(problem.history == [] and problem.u is body.u)
@@ -98,7 +99,7 @@ def test_what_a_problem_offers():
 
 
 def test_tangent_of_the_last_equilibrium_predicts():
-    """It changes the Newton steps, not the solution."""
+    """A prediction by the last tangent changes the Newton steps, and not the solution."""
     fields = []
     first = []
     for ahead in (False, True):
@@ -115,7 +116,7 @@ def test_tangent_of_the_last_equilibrium_predicts():
 
 
 def test_tangent_that_the_matrix_does_not_hold(monkeypatch):
-    """From before another one, a solve, or an assembly that fails, and one of another problem."""
+    """``first_tangent`` is refused unless the problem's matrix still holds that tangent."""
     body = wall(tube(around=6, along=2), degree=1)
     problem = body.problem(2)
     other = wall(tube(around=6, along=2), degree=1).problem(2)
@@ -143,7 +144,7 @@ def test_tangent_that_the_matrix_does_not_hold(monkeypatch):
 
 
 def stretched(degree, *, given=None, **metadata):
-    """Solve with the package's quadrature, the problem's or the measure's; it is hard to guess."""
+    """Solve with the quadrature degree of the package, the problem or the measure."""
     V = dolfinx.fem.functionspace(cube(2, 3), ("Lagrange", degree, (2,)))
     u = dolfinx.fem.Function(V)
     C = ufl.Identity(2) + ufl.grad(u) + ufl.grad(u).T + ufl.grad(u).T * ufl.grad(u)
@@ -159,7 +160,7 @@ def stretched(degree, *, given=None, **metadata):
 
 @pytest.mark.parametrize("degree", [1, 2])
 def test_quadrature(degree):
-    """The argument bounds the degrees of integrals that state none; without it they are UFL's."""
+    """``quadrature_degree=`` bounds the degree of integrals that do not state one."""
     bound = 2 * degree - 1
     other = stretched(degree, quadrature_degree=bound)
     equal(stretched(degree, given=bound), other, 1e-9)
@@ -172,7 +173,7 @@ def test_quadrature(degree):
 
 @pytest.mark.parametrize(("degree", "expected"), [(1, 10), (2, 33)])
 def test_explosive_quadrature(degree, expected, caplog):
-    """Of HGO UFL's estimate is far beyond use, of a neo-Hookean solid not."""
+    """For HGO a warning names UFL's degree and recommends a bound; for neo-Hooke there is none."""
     V = dolfinx.fem.functionspace(cube(3, 2), ("Lagrange", degree, (3,)))
     u = dolfinx.fem.Function(V)
     F = kinematics.deformation_gradient(u)
@@ -197,7 +198,7 @@ def test_explosive_quadrature(degree, expected, caplog):
 
 @pytest.mark.serial
 def test_code_of_a_problem_is_short(tmp_path, monkeypatch):
-    """All forms of a P2–P0 problem of two layers of HGO, on an empty cache."""
+    """The forms of a two-layer HGO wall compile to little code, with an empty cache."""
     default = dolfinx.jit.DOLFINX_DEFAULT_JIT_OPTIONS
     monkeypatch.setitem(default, "cache_dir", (str(tmp_path), "an empty cache"))
     wall(tube(), degree=2).problem(4)
@@ -206,7 +207,7 @@ def test_code_of_a_problem_is_short(tmp_path, monkeypatch):
 
 
 def test_nothing_is_left_behind():
-    """A problem is freed with its last reference, and so are its PETSc objects."""
+    """A problem and its PETSc objects are freed with its last reference."""
     body = wall(tube(), degree=1)
     problem = body.problem(3)
     body.inflate(problem, [1.0])
@@ -232,7 +233,7 @@ def density(u: dolfinx.fem.Function, edit: int) -> ufl.core.expr.Expr:
 
 
 def recorded(monkeypatch, place, name):
-    """Return the growing list of the first arguments of a call."""
+    """Record the first argument of each call of a function, and return the list."""
     calls = []
     original = getattr(place, name)
 
@@ -246,7 +247,7 @@ def recorded(monkeypatch, place, name):
 
 @pytest.mark.parametrize("given", ["residual", "energy"])
 def test_second_edit_compiles_nothing(given, monkeypatch):
-    """Each form of an edit is analysed once, and both are at equilibrium in dolfinx's residual."""
+    """A second edit of a material compiles nothing, and has dolfinx's equilibrium."""
     compiled, analysed = (
         recorded(monkeypatch, place, name)
         for place, name in ((cffi.FFI, "compile"), (ufl.algorithms, "compute_form_data"))

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Reactions on surfaces: against loads, closed forms, and the balance of forces and moments."""
+"""Reactions on surfaces agree with loads, closed forms, and the balance of forces and moments."""
 
 from mpi4py import MPI
 
@@ -20,17 +20,17 @@ TIGHT = {"ksp_rtol": 1e-12, "snes_rtol": 1e-12}
 
 
 def boundary(mesh, marker=lambda x: np.ones(x.shape[1], dtype=bool)):
-    """Facets of the boundary whose points fulfil a condition."""
+    """Return the boundary facets whose points fulfil a condition."""
     return dolfinx.mesh.locate_entities_boundary(mesh, mesh.topology.dim - 1, marker)
 
 
 def face(mesh, axis, value):
-    """Facets of the boundary on a plane of a coordinate."""
+    """Return the boundary facets on a coordinate plane."""
     return boundary(mesh, lambda x: np.isclose(x[axis], value))
 
 
 def tagged_measure(mesh, surfaces, metadata=None):
-    """Measure ds with the number k + 1 for the k-th surface."""
+    """Return the measure ds in which the k-th surface has the number k + 1."""
     fdim = mesh.topology.dim - 1
     facets = np.concatenate(surfaces)
     numbers = np.repeat(np.arange(1, 1 + len(surfaces)), [len(each) for each in surfaces])
@@ -40,7 +40,7 @@ def tagged_measure(mesh, surfaces, metadata=None):
 
 
 def clamp(V, facets, component=None):
-    """Zero on facets, of all components or of one."""
+    """Return the zero condition on facets, of all components or of one."""
     fdim = V.mesh.topology.dim - 1
     if component is None:
         dofs = dolfinx.fem.locate_dofs_topological(V, fdim, facets)
@@ -52,7 +52,7 @@ def clamp(V, facets, component=None):
 
 
 def elastic(u, v, young=1.0):
-    """a(u, v) of an isotropic solid, ν = 0.3."""
+    """Return a(u, v) of an isotropic solid with ν = 0.3."""
     strain = ufl.sym(ufl.grad(u))
     dim = len(u)
     lam = young * 0.3 / (1.3 * 0.4)
@@ -64,7 +64,7 @@ def elastic(u, v, young=1.0):
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
 def test_supports_balance_body_force_and_traction(cell, degree):
-    """R = −(body force + traction) and M = −Σ x × of them, exactly as integrated."""
+    """R is minus the sum of body force and traction, and M minus that of their moments."""
     kind = getattr(dolfinx.mesh.CellType, cell)
     mesh = dolfinx.mesh.create_unit_cube(COMM, 3, 3, 3, kind)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (3,)))
@@ -92,7 +92,7 @@ def test_supports_balance_body_force_and_traction(cell, degree):
 @pytest.mark.parametrize("length", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("stiffness", [1e-6, 1.0, 1e6])
 def test_springs_carry_what_supports_do_not(stiffness, length):
-    """A bar on springs at one end and a prescribed shift at the other: both forces are equal."""
+    """The springs at one end of a bar carry the force of the prescribed shift at the other."""
     mesh = dolfinx.mesh.create_rectangle(COMM, [[0.0, 0.0], [2 * length, length]], [8, 4])
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
     u = ufl.TrialFunction(V)
@@ -122,7 +122,7 @@ def test_springs_carry_what_supports_do_not(stiffness, length):
 
 
 def test_flux_of_a_scalar_unknown():
-    """−Δu = 1 in the unit square, u = 0 on one side: all heat leaves there."""
+    """All heat of a source in the unit square leaves through its one cold side."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 8, 8)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2))
     u = ufl.TrialFunction(V)
@@ -143,7 +143,7 @@ def test_flux_of_a_scalar_unknown():
 
 @pytest.mark.parametrize("compressible", [True, False], ids=["compressible", "condensed"])
 def test_large_deformation_balances_forces_and_moments(compressible):
-    """A pressure that follows the surface of a clamped block: Σ R = 0 and Σ M = 0, deformed."""
+    """In the deformed state, forces and moments of a follower pressure sum to zero."""
     mesh = dolfinx.mesh.create_box(COMM, [[0, 0, 0], [1, 1, 2]], [2, 2, 4])
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,)))
     u = dolfinx.fem.Function(V)
@@ -192,7 +192,7 @@ def test_large_deformation_balances_forces_and_moments(compressible):
 
 
 def reactions_with_springs(where, side=None):
-    """Return the reactions of a support and of springs inside, summed. The load is 1.
+    """Return the sum of the reactions of a support and of springs inside; the load is 1.
 
     Args:
         where: Marker of the facets with springs.
@@ -217,13 +217,13 @@ def reactions_with_springs(where, side=None):
 
 
 def test_surface_inside_the_mesh_given_by_pairs():
-    """Springs on a line inside: their reaction and that of the support balance the load."""
+    """Springs on an inner line, facets with a side, balance the load together with the support."""
     total = reactions_with_springs(lambda x: np.isclose(x[0], 0.5))
     equal(total, [-1.0], 1e-10)
 
 
 def test_surface_inside_that_branches():
-    """Springs on a cross inside, which has no outer side: the reactions balance the load."""
+    """Springs on a cross, which has no outer side, balance the load with the support."""
 
     def on_cross(x):
         return np.isclose(x[0], 0.5) | np.isclose(x[1], 0.5)
@@ -241,7 +241,7 @@ def test_surface_inside_that_branches():
     ids=["none", "no-numbers", "too-large"],
 )
 def test_wrong_facets_are_named(facets, message):
-    """Wrong facets are an error on all processes."""
+    """Wrong facets raise an error on all processes."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = ufl.TrialFunction(V)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Problems in several fields that cannot be torn: the message fits the form."""
+"""Problems in several fields that cannot be torn are refused with a message that fits the form."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BLOCKS = r"pass blocks, NonlinearProblem\(\[F_u, F_p\], \[u, p\]"
 
 
 def plate(u, w, v, z):
-    """Reissner and Mindlin: a rotation and a deflection."""
+    """Return the form of a Reissner–Mindlin plate, with deflection and rotation."""
     return (
         ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
         + ufl.inner(ufl.grad(w) - u, ufl.grad(z) - v) * ufl.dx
@@ -32,25 +32,29 @@ def plate(u, w, v, z):
 
 
 def thermoelastic(u, w, v, z):
+    """Return the form of a displacement and a temperature."""
     strain = ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) - w * ufl.div(v)
     return strain * ufl.dx + ufl.inner(ufl.grad(w), ufl.grad(z)) * ufl.dx
 
 
 def stokes(u, w, v, z):
+    """Return the form of Stokes' equations."""
     return (ufl.inner(ufl.grad(u), ufl.grad(v)) - w * ufl.div(v) - z * ufl.div(u)) * ufl.dx
 
 
 def darcy(u, w, v, z):
+    """Return the mixed form of Darcy's equations, with flux and pressure."""
     return (ufl.inner(u, v) - w * ufl.div(v) - z * ufl.div(u)) * ufl.dx
 
 
 def beam(u, w, v, z):
-    """Two vectors, as displacement and rotation."""
+    """Return the form of two vectors, such as displacement and rotation."""
     bend = ufl.inner(ufl.grad(w), ufl.grad(z))
     return (bend + ufl.inner(ufl.grad(u)[:, 0] - w, ufl.grad(v)[:, 0] - z)) * ufl.dx
 
 
 def cohesive(u, w, v, z):
+    """Return the thermoelastic form with springs across interior facets."""
     return thermoelastic(u, w, v, z) + ufl.inner(ufl.jump(u), ufl.jump(v)) * ufl.dS
 
 
@@ -69,7 +73,7 @@ CASES = {
 @pytest.mark.parametrize("kind", ["nonlinear", "linear", "swapped", "mixed", "parts"])
 @pytest.mark.parametrize("case", CASES)
 def test_message_fits_the_form(case, kind):
-    """Given as blocks in either order, as a mixed element, or on a MixedFunctionSpace."""
+    """The message fits the form as blocks in any order, as a mixed element, or as its parts."""
     rows, of_u, of_w, text = CASES[case]
     mesh = cube(2, 2, Cell.triangle)
     V, Q = (dolfinx.fem.functionspace(mesh, e) for e in (of_u, of_w))
@@ -104,6 +108,7 @@ def test_message_fits_the_form(case, kind):
 
 
 def test_mixed_element_with_a_discontinuous_pressure():
+    """A mixed element with a discontinuous pressure raises an error that recommends blocks."""
     mesh = cube(2, 2)
     parts = [
         basix.ufl.element("P", "triangle", 2, shape=(2,)),

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Right-hand sides with prescribed values: FETI's convention, dolfinx's, and one for the other."""
+"""Right-hand sides with prescribed values follow FETI's or dolfinx's convention, as chosen."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from dolfinx_feti.runtime.petsc_options import inserted
 
 @pytest.fixture(params=["heat", "elastic"])
 def body(request):
-    """A square between a fixed side and one with values that are not zero, and a second load."""
+    """A square with a fixed side and one with non-zero values, and a second load."""
     mesh = cube(2, 8)
     shape = () if request.param == "heat" else (2,)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, shape))
@@ -44,7 +44,7 @@ def body(request):
 
 
 def lifted(body):
-    """Assemble the second load as a script for dolfinx does."""
+    """Assemble the second load as a dolfinx script does, with lifting."""
     b = body.problem.b.duplicate()
     vector = dolfinx.fem.assemble_vector(dolfinx.fem.form(body.loads[1]))
     dolfinx.fem.apply_lifting(vector.array, [dolfinx.fem.form(body.a)], [body.bcs])
@@ -56,7 +56,7 @@ def lifted(body):
 
 
 def solved(ksp, b):
-    """Return x, and destroy b."""
+    """Solve for a right-hand side, destroy it, and return x."""
     x = b.duplicate()
     ksp.solve(b, x)
     values = x.array_r.copy()
@@ -66,7 +66,7 @@ def solved(ksp, b):
 
 
 def test_load_of_another_form(body, caplog):
-    """assemble_rhs takes the form, and adds the prescribed values itself."""
+    """``assemble_rhs`` assembles another load, prescribed values included."""
     body.problem.linear_system()[1].destroy()
     equal(solved(body.problem.solver, body.problem.assemble_rhs(body.loads[1])), body.exact, 1e-6)
     b = body.problem.assemble_rhs(body.loads[0])
@@ -81,7 +81,7 @@ def test_load_of_another_form(body, caplog):
 
 @pytest.mark.parametrize("way", ["solver of the problem", "argument", "option"])
 def test_lifted_vector(body, caplog, way):
-    """One argument or option chooses dolfinx's convention."""
+    """``lifted=True``, or the option, accepts vectors that dolfinx has lifted."""
     A, b = body.problem.linear_system()
     b.destroy()
     if way == "solver of the problem":
@@ -104,7 +104,7 @@ def test_lifted_vector(body, caplog, way):
 
 
 def test_lifted_vector_where_feti_lifts(body, caplog):
-    """It was wrong in silence; it is still wrong, and said once."""
+    """A lifted vector where FETI lifts itself causes one warning with the remedy."""
     body.problem.linear_system()[1].destroy()
     for _ in range(2):
         found = solved(body.problem.solver, lifted(body))
@@ -115,6 +115,7 @@ def test_lifted_vector_where_feti_lifts(body, caplog):
 
 
 def test_option_has_no_place_in_a_problem(body):
+    """A problem refuses feti_right_side, as it assembles its own right-hand side."""
     with raises(ValueError, "feti_right_side is 'lifted', but a problem assembles its own"):
         LinearProblem(
             body.a, body.loads[0], subdomains=4, petsc_options={"feti_right_side": "lifted"}
@@ -122,13 +123,14 @@ def test_option_has_no_place_in_a_problem(body):
 
 
 def test_solution_of_the_problem_is_as_before(body, caplog):
+    """Solving the problem itself gives the reference solution without a warning."""
     expected = Problem(body.V, body.a, body.loads[0], body.bcs).solve_directly()
     equal(owned(body.problem.solve()), expected, 1e-6)
     agree(not logged_messages(caplog), logged_messages(caplog))
 
 
 def test_load_that_looks_like_a_lifted_one(caplog):
-    """Ones at all dofs are −A_fD x_D beside the prescribed ones, by chance."""
+    """A vector that equals −A_fD x_D by chance causes no warning."""
     mesh = cube(2, 8, Cell.quadrilateral)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = ufl.TrialFunction(V)

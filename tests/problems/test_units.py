@@ -43,7 +43,7 @@ class Units(NamedTuple):
 
 
 class Kind(NamedTuple):
-    """What decides which forms are compiled; a body without springs is clamped."""
+    """The choices that decide which forms are compiled; a body without springs is clamped."""
 
     dim: int
     condensed: bool = False
@@ -151,7 +151,7 @@ class Body:
 
 
 def values(rng: np.random.Generator, kind: Kind) -> dict[str, float]:
-    """Draw the parameters of a body; as many for each kind."""
+    """Draw random parameters of a body; each kind draws as many numbers."""
     drawn = rng.uniform(size=8)
     moves = drawn[6] < 0.6 or kind.inertia
     return {
@@ -167,7 +167,7 @@ def values(rng: np.random.Generator, kind: Kind) -> dict[str, float]:
 
 
 def solve(body: Body, *, path: bool) -> tuple[list[int], list[int], np.ndarray]:
-    """Return the Newton steps and linear iterations of all solves, and u over the length."""
+    """Return Newton steps and linear iterations of all solves, and u over the unit of length."""
     problem = body.problem
     state = [body.u, *body.fields]
     t = body.units.time
@@ -193,7 +193,7 @@ def solve(body: Body, *, path: bool) -> tuple[list[int], list[int], np.ndarray]:
 
 @pytest.mark.parametrize("name", KINDS)
 def test_law_of_units(name):
-    """Newton steps are equal, iterations up to rounding, and so is u over the length."""
+    """In other units, Newton steps and u are equal, and iterations up to rounding."""
     rng = np.random.default_rng(list(name.encode()))
     body = Body(KINDS[name])
     for number in range(ALONE if COMM.size == 1 else TOGETHER):
@@ -222,7 +222,7 @@ SOFT = 24.0
 
 
 def inflate(stiffness: float, unit: float, first: float) -> tuple[list[LoadStep], float]:
-    """Follow a pressure from rest to 1; return the load steps, and max |u| over the unit."""
+    """Follow a pressure from rest to 1; return load steps and max |u| over the unit of length."""
     mesh = tube(COMM, around=16, along=16, length=LONG)
     x = mesh.geometry.x
     r = np.hypot(x[:, 0], x[:, 1])
@@ -267,7 +267,7 @@ def inflate(stiffness: float, unit: float, first: float) -> tuple[list[LoadStep]
 
 @pytest.mark.parametrize("first", [0.25, 0.1])
 def test_no_crawl(first):
-    """At most 22 Newton steps and 600 iterations, as many in MPa and mm as in Pa and m."""
+    """A path takes at most 22 Newton steps and 600 iterations, in MPa and mm as in Pa and m."""
     found = []
     for stiffness, unit in ((1.0, 1.0), (1e6, 1e-3)):
         steps, largest = inflate(stiffness, unit, first)
@@ -283,7 +283,7 @@ def test_no_crawl(first):
 
 @pytest.mark.serial
 def test_published_beam():
-    """The z [mm] of P2–P0 at the end of the beam of Land et al. (2015), by the number of dofs."""
+    """The tip of Land's beam (2015) on P2–P0 has the z [mm] of docs/beam.md."""
     page = (Path(__file__).parents[2] / "docs/beam.md").read_text(encoding="utf-8")
     body = beam(kappa=1000.0, cells=(20, 2, 2))
     u = body.u

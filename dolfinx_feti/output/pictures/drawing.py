@@ -63,7 +63,7 @@ def draw(
         The picture, which a notebook shows at the end of a cell.
 
     Raises:
-        TypeError: ``path`` is not a path, or one of ``panels`` is not a panel.
+        TypeError: ``path`` is no path, or one of ``panels`` no panel.
         ValueError: There is no panel, or ``viewer`` is zero or not finite.
         RuntimeError: This machine has neither a display nor a library for drawing without one.
         OSError: The file cannot be written.
@@ -89,7 +89,7 @@ def require_path_and_panels(path: object, panels: Sequence[object]) -> None:
     """Check the first arguments of ``draw`` and ``write_scene``.
 
     Raises:
-        TypeError: ``path`` is not a path, or one of ``panels`` is not a panel.
+        TypeError: ``path`` is no path, or one of ``panels`` no panel.
         ValueError: There is no panel.
     """
     if not isinstance(path, (str, Path)):

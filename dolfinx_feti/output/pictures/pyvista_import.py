@@ -35,10 +35,10 @@ def import_pyvista() -> Any:
 
 @contextmanager
 def without_window() -> Iterator[None]:
-    """Set VTK's window to EGL or OSMesa if there is no display; VTK would try X first, and warn.
+    """Set VTK's window to EGL or OSMesa if there is no display: VTK would try X first and warn.
 
     Raises:
-        RuntimeError: There is neither a display nor one of these libraries.
+        RuntimeError: This machine has no library for it.
     """
     if os.environ.get("DISPLAY") or os.name == "nt" or VTK_WINDOW in os.environ:
         yield
