@@ -23,8 +23,10 @@ def studies() -> Iterator[tuple[str, str, str]]:
     for path in sorted(HERE.glob("[a-z]*.py")):
         source = path.read_text(encoding="utf-8")
         about = ast.get_docstring(ast.parse(source)) or ""
-        (page,) = PAGE.findall(source)
-        records = RESULTS / f"{page}.json"
+        page = PAGE.search(source)
+        if page is None:
+            raise ValueError(f'{path} has no line page="…", in its Study: write the name as text')
+        records = RESULTS / f"{page[1]}.json"
         cost = _cost(json.loads(records.read_text(encoding="utf-8"))) if records.is_file() else ""
         yield path.stem, about.split("\n")[0], cost
 

@@ -74,10 +74,10 @@ def hertz(comm: MPI.Comm, cells: int = 16) -> Record:
     r = ufl.SpatialCoordinate(mesh)[0]
     strain = ufl.sym(ufl.grad(u))
     hoop = u[0] / r
-    shear = E / (2.0 * (1.0 + ν))
-    bulk = E * ν / ((1.0 + ν) * (1.0 - 2.0 * ν))
-    density = bulk / 2 * (ufl.tr(strain) + hoop) ** 2
-    density += shear * (ufl.inner(strain, strain) + hoop**2)
+    μ = E / (2.0 * (1.0 + ν))
+    λ = E * ν / ((1.0 + ν) * (1.0 - 2.0 * ν))
+    density = λ / 2 * (ufl.tr(strain) + hoop) ** 2
+    density += μ * (ufl.inner(strain, strain) + hoop**2)
     energy = 2 * ufl.pi * r * density * ufl.dx(metadata={"quadrature_degree": 4})
     bcs = [
         _zero_component(V, 0, lambda x: np.isclose(x[0], 0.0)),
@@ -234,29 +234,29 @@ def wall(comm: MPI.Comm, cells: int = 10) -> Record:
         density = materials.neo_hookean(F.T * F, c=μ, J=J) + p * (J - 1) - p**2 / (2 * κ)
         energy = density * ufl.dx(metadata={"quadrature_degree": 4})
         ds = _surface(mesh, _at_radius(A, 1e-6))
-        size = dolfinx.fem.Constant(mesh, np.float64(A))
+        load = dolfinx.fem.Constant(mesh, np.float64(A))  # radius of the balloon, or pressure
         bcs = [
             *_symmetry_conditions(V),
             _zero_component(V, 2, lambda x: np.isclose(x[2] % length, 0.0)),
         ]
         contacts = []
         if kind == "contact":
-            contacts = [Contact(u, ds, cylinder((0, 0, 1), size))]
+            contacts = [Contact(u, ds, cylinder((0, 0, 1), load))]
             target = a
         else:
             N = ufl.FacetNormal(mesh)
-            energy += size * ufl.dot(u, N) * ds  # a dead load
-            size.value = 0.0
-            target = 2.0
+            energy += load * ufl.dot(u, N) * ds  # a dead load
+            load.value = 0.0
+            target = 2.0  # kPa
         problem = NonlinearProblem(energy, u, bcs=bcs, condense=p, contacts=contacts, subdomains=16)
 
-        def set_size(value: float, size: dolfinx.fem.Constant = size) -> None:
-            size.value = value
+        def set_load(value: float, load: dolfinx.fem.Constant = load) -> None:
+            load.value = value
 
-        start = float(size.value)
+        start = float(load.value)
         first = (target - start) / 3.0
         increments = Steps(first=first, least=first / 16)
-        steps = follow_load(problem, set_size, [target], increments, start=start)
+        steps = follow_load(problem, set_load, [target], increments, start=start)
         newton_steps = [newton for load_step in steps for newton in load_step.all_steps]
         iterations[kind] = [newton.linear_iterations for newton in newton_steps]
     return {

@@ -143,7 +143,7 @@ def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
         values["failure"] = str(error)
     steps = body.problem.history
     has_processor_time = comm.size == 1
-    seconds = watch.processor() if has_processor_time else watch.each()
+    seconds = watch.processor_times() if has_processor_time else watch.wall_times()
     setup, krylov = map(float, seconds.sum(axis=0) / max(len(seconds), 1))
     iterations = [step.linear_iterations for step in steps]
     values |= first_step.sizes(body) | {

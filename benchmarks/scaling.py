@@ -45,12 +45,12 @@ from benchmarks.common.scaling.model import Model, create_model, efficiency
 from benchmarks.common.scaling.traffic import compile_library
 from benchmarks.common.study import Arguments, Keep, Study
 from benchmarks.common.walls.first_step import ARTERIES, CHOICES
-from benchmarks.common.walls.first_step import TYPES as NAMES
+from benchmarks.common.walls.first_step import TYPES as TYPE_NAMES
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.meshes.arguments import count
 
 #: Variant by layers of the wall: the paper's aorta, its carotid artery.
-TYPES = {1: "all_floating", 2: "classical"}
+TYPES_OF_LAYERS = {1: "all_floating", 2: "classical"}
 
 #: Environment that lets Open MPI put several processes on a core; MPICH always does.
 SHARED_CORES = {
@@ -103,7 +103,7 @@ def _options(parser: argparse.ArgumentParser) -> None:
     )
     add("--predict", type=count, nargs=2, metavar=("DOFS", "PROCESSES"), help="print the model's")
     add("--subdomains", type=count, default=512, help="over all processes, 512")
-    command.add_choices(parser, "--layers", tuple(TYPES))
+    command.add_choices(parser, "--layers", tuple(TYPES_OF_LAYERS))
     command.add_choices(parser, "--choices", tuple(CHOICES))
 
 
@@ -124,7 +124,7 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
         numbers = args.choices, args.layers, _processes(args, task)
         for choices, layers, processes in itertools.product(*numbers):
             case = {"task": task, "layers": layers, "choices": choices, "processes": processes}
-            yield shared | case | {"type": TYPES[layers], "pc": PC[choices]}
+            yield shared | case | {"type": TYPES_OF_LAYERS[layers], "pc": PC[choices]}
 
 
 def _processes(args: Arguments, task: str) -> Sequence[int]:
@@ -231,7 +231,7 @@ class _Series:
     @property
     def names(self) -> dict[str, str]:
         """Names of type, choices and artery on the page."""
-        kind = NAMES[TYPES[self.layers]]
+        kind = TYPE_NAMES[TYPES_OF_LAYERS[self.layers]]
         return {"kind": kind, "chosen": CHOICES[self.choices], "artery": ARTERIES[self.layers]}
 
 
@@ -366,8 +366,8 @@ def _draw(records: Sequence[Record], folder: Path) -> list[Fields]:
     processes = [2**k for k in range(10)]
     with picture(folder / "scaling.png", 1, 2, legend, sharex=True) as axes:
         axes[0, 0].set_ylabel("seconds of a load step")
-        for ax, (layers, kind) in zip(axes[0], TYPES.items(), strict=True):
-            ax.set(title=f"{NAMES[kind]}; the paper's {ARTERIES[layers]}", xlabel="processes")
+        for ax, (layers, kind) in zip(axes[0], TYPES_OF_LAYERS.items(), strict=True):
+            ax.set(title=f"{TYPE_NAMES[kind]}; the paper's {ARTERIES[layers]}", xlabel="processes")
             ax.set_yscale("log")
             ax.set_xscale("log", base=2)
             for part, style in STYLES.items():

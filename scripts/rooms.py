@@ -192,6 +192,9 @@ def between(path: Path, table: str) -> str:
 
 def main(arguments: list[str]) -> int:
     """Write the pages, or say which of them are out of date."""
+    if not set(arguments) <= {"--check", "--modules"}:
+        print("rooms: write no option, --check or --modules", file=sys.stderr)
+        return 2
     if "--modules" in arguments:
         (ROOT / "docs" / "modules.md").write_text(modules_page() + "\n", encoding="utf-8")
         return 0

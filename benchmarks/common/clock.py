@@ -78,14 +78,14 @@ class Stopwatch:
         ksp.setMonitor(monitor)
         ksp.setPostSolve(after)
 
-    def each(self) -> Array:
+    def wall_times(self) -> Array:
         """Return the wall time of set-up and solution of each solve, (solves, 2) [s]. Collective.
 
         It is that of the slowest process.
         """
         return self._over_all(0, MPI.MAX)
 
-    def processor(self) -> Array:
+    def processor_times(self) -> Array:
         """Return the processor time of set-up and solution of each solve, (solves, 2) [s].
 
         It is summed over the processes. Collective.

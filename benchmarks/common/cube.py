@@ -152,8 +152,8 @@ def solve(linear: LinearProblem) -> Record:
     feti = linear.solver.getPythonContext()
     report = feti.report()
     low, high = feti.eigenvalues
-    (setup, krylov) = watch.each()[0]
-    (cpu_setup, cpu_krylov) = watch.processor()[0]
+    (setup, krylov) = watch.wall_times()[0]
+    (cpu_setup, cpu_krylov) = watch.processor_times()[0]
     return {
         "subdomains": report.subdomains,
         "dofs_local_max": report.dofs_local[1],

@@ -137,14 +137,16 @@ def fold_tables(text: str) -> str:
     """
 
     def fold(match: re.Match[str]) -> str:
-        table, origin = match.groups("")
+        table, origin_line = match.groups("")
         lines = table.splitlines()
         columns = len(lines[0].strip("| ").split(" | "))
         rows = len(lines) - 2  # without the heading and the line below it
         if rows <= MAX_ROWS and rows * columns <= MAX_CELLS:
             return match[0]
         number = f"{rows} row{'s' if rows > 1 else ''}"
-        return f"<details>\n<summary>Table of {number}</summary>\n\n{table}{origin}\n</details>\n"
+        return (
+            f"<details>\n<summary>Table of {number}</summary>\n\n{table}{origin_line}\n</details>\n"
+        )
 
     return TABLE.sub(fold, text)
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -36,6 +37,9 @@ from dolfinx_feti.meshes.arguments import RootParser, parse_all, split_petsc_opt
 #: record's key in addition to those of its case, such as the pressure; measured values. Collective.
 Keep = Callable[[Record, Record], Record]
 Arguments = argparse.Namespace
+
+#: Comma of ``--only`` that begins another value, unlike that in ``material=HGO, dispersed``.
+NEXT_VALUE = re.compile(r",(?=\s*\w+=|\s*$)")
 
 
 def no_options(parser: argparse.ArgumentParser) -> None:
@@ -148,7 +152,7 @@ class Study:
                 try:
                     self.run(case, partial(keep_record, records, comm, case), args, comm)
                 except ConvergenceError as error:
-                    say(f"failed: {case}: {error}", comm, sys.stderr)
+                    say(f"failed: {case_text(case)}: {error}", comm, sys.stderr)
                     has_failed = True
             records_of_cases += records.all(case)
         if has_failed:
@@ -202,27 +206,44 @@ def keep_record(
 
 
 def read_values(text: str) -> dict[str, str]:
-    """Return the values of ``--only`` by name, such as those of ``level=2,pc=lumped``."""
-    words = [word.partition("=") for word in text.split(",")]
+    """Return the values of ``--only`` by name, such as those of ``level=2,pc=lumped``.
+
+    A value may have commas of its own: the next one begins where a name and ``=`` follow a comma.
+    """
+    words = [word.partition("=") for word in NEXT_VALUE.split(text)]
     if not all(name and equals for name, equals, _ in words):
         raise argparse.ArgumentTypeError(f"{text!r}: write NAME=VALUE,NAME=VALUE")
     return {name.strip(): value.strip() for name, _, value in words}
 
 
 def select(cases: Iterable[Record], wanted: Mapping[str, str]) -> Iterator[Record]:
-    """Yield the cases whose values, as text, are the wanted ones.
+    """Yield the cases that have the wanted values.
+
+    Args:
+        cases: Keys of cases.
+        wanted: Values as text, by name.
 
     Raises:
         ValueError: No case has them.
     """
     has_any = False
     for case in cases:
-        if all(name in case and str(case[name]) == value for name, value in wanted.items()):
+        if all(name in case and is_written(case[name], text) for name, text in wanted.items()):
             has_any = True
             yield case
     if wanted and not has_any:
         values = ",".join(f"{name}={value}" for name, value in wanted.items())
         raise ValueError(f"argument --only: no case has {values}; --list prints all cases")
+
+
+def is_written(value: object, text: str) -> bool:
+    """Return True if a text stands for a value; 1000 and 1e3 stand for 1000.0."""
+    if isinstance(value, float):
+        try:
+            return float(text) == value
+        except ValueError:
+            return False
+    return str(value) == text
 
 
 def case_text(case: Record) -> str:

@@ -20,7 +20,7 @@ from benchmarks import compare, cube, nonlinear, scaling, verification
 from benchmarks.common import command, pages
 from benchmarks.common import records as module
 from benchmarks.common.records import Records
-from benchmarks.common.study import Study
+from benchmarks.common.study import Study, case_text, read_values, select
 from dolfinx_feti import ConvergenceError
 from dolfinx_feti.meshes.arguments import count
 
@@ -160,6 +160,27 @@ def test_cases_are_listed(capsys):
 
 def test_one_case_is_run():
     agree([record["square"] for record in squares().main(["--x", "2,3", "--only", "x=3"])] == [9])
+
+
+@pytest.mark.parametrize(
+    ("words", "material", "kappa"),
+    [
+        ("material=HGO, dispersed", "HGO, dispersed", 10.0),
+        ("material=HGO,kappa=1000", "HGO", 1000.0),
+        ("kappa=1e3, material=HGO", "HGO", 1000.0),
+    ],
+    ids=["value-with-comma", "integer-for-float", "exponent"],
+)
+def test_case_is_chosen_by_its_text(words, material, kappa):
+    """The line of --list chooses its case, and a number may be written in another way."""
+    cases = [
+        {"material": "HGO", "kappa": 10.0},
+        {"material": "HGO", "kappa": 1000.0},
+        {"material": "HGO, dispersed", "kappa": 10.0},
+    ]
+    wanted = {"material": material, "kappa": kappa}
+    agree(list(select(cases, read_values(words))) == [wanted], words)
+    agree(list(select(cases, read_values(case_text(wanted)))) == [wanted], case_text(wanted))
 
 
 @pytest.mark.parametrize(

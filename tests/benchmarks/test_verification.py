@@ -61,7 +61,7 @@ def test_records_of_another_study_are_not_its_own():
 @pytest.mark.serial
 def test_one_displacement():
     """2³ cubes, Q1–P0: one node is free, and each component has one pattern of pressures ±1."""
-    found = inf_sup.constant("q1-p0", 2)
+    found = inf_sup.inf_sup_constant("q1-p0", 2)
     h = 0.5
     energy = 3 * (2 / h) * (2 * h / 3) ** 2  # ∫|∇φ|² of the node's hat function
     felt = h**2 / 4 * np.sqrt(8)  # ∫ ∂φ/∂x over a cell, times the root of the number of cells
@@ -71,7 +71,7 @@ def test_one_displacement():
 
 @pytest.mark.serial
 def test_stable_and_unstable_pairs():
-    stable, locking = (inf_sup.constant(name, 2) for name in ("q2-p1d", "p2-p1d"))
+    stable, locking = (inf_sup.inf_sup_constant(name, 2) for name in ("q2-p1d", "p2-p1d"))
     agree(stable["spurious"] == 0 and stable["beta"] > 0.3)
     agree(locking["spurious"] > locking["displacements"])
 

@@ -107,7 +107,7 @@ def follow(body: Body, mmhg: float, *, direct: Sequence[str] = ()) -> list[Recor
         note = f"failed: {error_message(error)}"
     seconds = comm.allreduce(time.perf_counter() - started - seconds_of_direct, op=MPI.MAX)
     newton_steps = [step for load_step in load_steps for step in load_step.all_steps]
-    feti.seconds = watch.each().tolist()
+    feti.seconds = watch.wall_times().tolist()
     feti.residuals = [step.linear_residual for step in newton_steps]
     feti.difference = direct_solvers[0].feti_difference if direct_solvers else None
     of_path = {
@@ -116,7 +116,7 @@ def follow(body: Body, mmhg: float, *, direct: Sequence[str] = ()) -> list[Recor
         "peak_mib": None,
         "seconds_assembly": sum(step.seconds_assembly for step in newton_steps),
     }
-    rest = seconds - watch.each().sum()  # assembly, line search, update
+    rest = seconds - watch.wall_times().sum()  # assembly, line search, update
     records = [
         of_path | solves.record(len(newton_steps), rest, note)
         for solves in (feti, *(solver.solves for solver in direct_solvers))

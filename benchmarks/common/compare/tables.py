@@ -183,7 +183,7 @@ def _compared_row(case: Sequence[Record]) -> dict[str, Any] | None:
         return None
     direct = _best(case, *DIRECT)
     row = _row(feti) | _ratios(feti, other)
-    row |= {f"its_{name}": value for name, value in _row(other).items()}
+    row |= {f"other_{name}": value for name, value in _row(other).items()}
     row["memory_ratio"] = None if direct is None else _ratios(feti, direct)["memory_ratio"]
     row["sources"] = [record for record in (feti, other, direct) if record is not None]
     return row

@@ -78,7 +78,10 @@ static void message(double bytes, int to, MPI_Comm comm) {
 
 static void persistent(MPI_Request request, double bytes, int to, MPI_Comm comm) {
   if (to == MPI_PROC_NULL || ranks(comm) == 1) return;
-  if (n_kept == room) kept = realloc(kept, (size_t)(room = 2 * room + 64) * sizeof *kept);
+  if (n_kept == room) {
+    room = 2 * room + 64;
+    kept = realloc(kept, (size_t)room * sizeof *kept);
+  }
   kept[n_kept++] = (struct Persistent){request, bytes, world_rank(to, comm)};
 }
 
@@ -89,9 +92,12 @@ static void collective(double bytes, MPI_Comm comm) {
   if (size == world) counters[CONTRIBUTED] += bytes;
 }
 
+// Set *to to the ranks that this process sends to in a graph, and return their number. The caller
+// frees *to.
 static int neighbours(MPI_Comm comm, int **to) {
   int in = 0, out = 0, weighted = 0;
   PMPI_Dist_graph_neighbors_count(comm, &in, &out, &weighted);
+  // Destinations first, then their weights, sources and the weights of these, which are not used.
   int *all = malloc((size_t)(2 * (in + out) + 1) * sizeof(int));
   PMPI_Dist_graph_neighbors(comm, in, all + 2 * out, all + 2 * out + in, out, all, all + out);
   *to = all;

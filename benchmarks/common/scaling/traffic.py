@@ -142,13 +142,13 @@ def _functions(
         displacement: C type of displacements.
     """
     types = {"N": count, "D": displacement, "R": "MPI_Request *r"}
-    for names, parameters, counted in table:
+    for names, parameters, statement in table:
         typed = re.sub(r"\b[NDR]\b", lambda found: types[found[0]], parameters)
         words = ", ".join(re.findall(r"(\w+)(?=,|$)", typed))
         for name in names.split():
             yield (
                 f"int MPI_{name}{ending}({typed}) {{ int error = PMPI_{name}{ending}({words}); "
-                f"{counted}; return error; }}"
+                f"{statement}; return error; }}"
             )
 
 

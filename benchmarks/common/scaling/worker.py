@@ -217,7 +217,7 @@ def _summary(counts: Array) -> Record:
     """Return mean and greatest of each counter over the processes."""
     return {
         name: {"mean": float(column.mean()), "max": float(column.max())}
-        for name, column in zip(COUNTERS, counts.T, strict=False)
+        for name, column in zip(COUNTERS, counts.T, strict=True)
     }
 
 

@@ -103,7 +103,7 @@ def _cases(args: Arguments, _comm: MPI.Comm) -> Iterator[Record]:
 
 def _run(case: Record, keep: Keep, _args: Arguments, comm: MPI.Comm) -> None:
     """Compute a constant on the first process."""
-    keep({}, on_root(lambda: constant(case["pair"], case["cells"]), comm))
+    keep({}, on_root(lambda: inf_sup_constant(case["pair"], case["cells"]), comm))
 
 
 def _fields(records: Sequence[Record]) -> Fields:
@@ -119,7 +119,7 @@ def _fields(records: Sequence[Record]) -> Fields:
     return {"pairs": [rows[pair] for pair in PAIRS if pair in rows]}
 
 
-def constant(pair: str, cells: int) -> Record:
+def inf_sup_constant(pair: str, cells: int) -> Record:
     """Compute β of a pair on the unit cube; spurious pressures do not count.
 
     Args:

@@ -50,7 +50,7 @@ class Layer:
     opening: float = 0.0  # degrees
     stretch: float = 1.0
 
-    def free(self, R: float) -> tuple[float, float, float]:
+    def stress_free_stretches(self, R: float) -> tuple[float, float, float]:
         """Return G_r, G_θ, G_z at a radius, the stretches towards the layer without stress."""
         k = 360.0 / (360.0 - self.opening)
         middle = (self.inner + self.outer) / 2.0
@@ -154,7 +154,7 @@ def _stresses(
     wall: Wall, layer: Layer, R: float, stretch_r: float, stretch_t: float
 ) -> tuple[float, float]:
     """Return ∂W/∂λ_r and ∂W/∂λ_θ [kPa] by a complex step, W' = Im W(λ + i h)/h."""
-    G_r, G_t, G_z = layer.free(R)
+    G_r, G_t, G_z = layer.stress_free_stretches(R)
     elastic = (stretch_r / G_r, stretch_t / G_t, wall.stretch / G_z)
     h = 1e-30
     P_r = _energy(wall, layer.angle, (elastic[0] + 1j * h / G_r, *elastic[1:])).imag / h
