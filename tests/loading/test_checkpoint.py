@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Checkpoints: read back, or refused; writing fails, or the run is killed."""
+"""Checkpoints are read back or refused; failed writes and killed runs keep the last state."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ROUNDING = 1e-14
 
 
 class Fields:
-    """A quadratic vector and a number for each cell, in a cube."""
+    """A quadratic vector and a number for each cell, on a cube."""
 
     def __init__(self, n: int = 2, *, degree: int = 2, scale: float = 1.0) -> None:
         mesh = cube(3, n)
@@ -47,11 +47,12 @@ class Fields:
 
 
 def opened(folder: Path, restart: bool = True, **other: object) -> Checkpoint:
+    """Open a checkpoint; further parameters replace those of ``PARAMETERS``."""
     return Checkpoint(folder, COMM, parameters=PARAMETERS | other, restart=restart)
 
 
 def written(folder: Path, state: Fields, *times: float) -> Checkpoint:
-    """Write the states of some times, and leave the functions at zero."""
+    """Write states of some times to a folder, and reset the functions to zero."""
     checkpoint = opened(folder, restart=False)
     for t in times:
         state.set(t)
@@ -62,7 +63,7 @@ def written(folder: Path, state: Fields, *times: float) -> Checkpoint:
 
 
 def check(folder: Path, state: Fields, t: float) -> None:
-    """Assert that the folder has the state of one time."""
+    """Require the folder's state to be that of one time."""
     checkpoint = opened(folder)
     past = checkpoint.read(state.functions)
     found = [f.x.array.copy() for f in state.functions]
@@ -72,6 +73,7 @@ def check(folder: Path, state: Fields, t: float) -> None:
 
 
 def content(folder: Path) -> dict[str, bytes]:
+    """Return the bytes of each file of a folder, by its path."""
     return on_first(
         lambda: {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*.*[!p]")}
     )
@@ -83,7 +85,7 @@ def state() -> Fields:
 
 
 def test_round_trip(tmp_path, state):
-    """On this mesh and on another one of the same input, with what was before."""
+    """A checkpoint restores state and record, also on an equal mesh that is created anew."""
     before = [state.set(1.0), state.set(2.0)]
     now = state.set(3.0)
     record = {"load": 3.0, "nan": np.float64("nan"), "steps": [{"n": np.int32(4)}], "name": "κ"}
@@ -104,6 +106,7 @@ def test_round_trip(tmp_path, state):
 
 
 def test_where_a_process_has_no_cell(tmp_path):
+    """A checkpoint restores a function on a mesh that leaves processes without cells."""
     mesh = create_mesh(COMM, np.vstack([np.zeros(3), np.eye(3)]), np.arange(4)[None])
     f = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1)))
     f.interpolate(lambda x: 1.0 + x[0])
@@ -120,7 +123,7 @@ def test_where_a_process_has_no_cell(tmp_path):
     ids=["same_version", "other_version"],
 )
 def test_other_forms_of_another_version(state, version, expected):
-    """The message names both versions, and what to do if only these differ."""
+    """Of another version, the error names both versions, and a remedy if only the forms differ."""
     here = describe_problem(state.functions, None, []) | {"forms": "a"}
     there = here | {"forms": "b", "dolfinx": version}
     (text,) = differences(there, here, compare_forms=True)
@@ -145,7 +148,7 @@ def test_other_forms_of_another_version(state, version, expected):
     ],
 )
 def test_another_problem(tmp_path, state, mesh, parameters, match):
-    """The error changes neither the folder nor the functions."""
+    """A checkpoint of another problem is refused, with folder and functions unchanged."""
     written(tmp_path, state, 1.0)
     before = content(tmp_path)
     other = Fields(**mesh)
@@ -158,7 +161,7 @@ def test_another_problem(tmp_path, state, mesh, parameters, match):
 
 
 def test_cells_in_another_order(tmp_path):
-    """Numbers and extent are the same, but values would be read into other cells."""
+    """A mesh with its cells in another order is refused, although sizes and extent agree."""
     i = np.arange(15)  # a helix of tetrahedra
     x = np.column_stack([np.cos(2.3 * i), np.sin(2.3 * i), 0.6 * i])
     cells = i[:12, None] + i[:4]
@@ -175,7 +178,10 @@ def test_cells_in_another_order(tmp_path):
 
 
 def test_what_no_file_holds(tmp_path, state):
-    """A parameter of the last process; of records that of the first one counts."""
+    """Parameters and records that cannot be written are refused.
+
+    Only the record of the first process is written.
+    """
     law = "NH" if COMM.rank < COMM.size - 1 else object()
     with raises(ValueError, r"parameters\['law'\] is <.*>: give numbers, strings, or lists"):
         opened(tmp_path / "run", restart=False, law=law)
@@ -190,7 +196,7 @@ def test_what_no_file_holds(tmp_path, state):
 
 
 def test_folders_that_are_refused(tmp_path, state):
-    """Without a state to restart from, with one that would be overwritten, below a file."""
+    """Folders without a state, with an earlier run's, or below a file are refused."""
     written(tmp_path / "old", state, 1.0)
     on_first(lambda: (tmp_path / "notes").write_text("mine"))
     with raises(FileNotFoundError, "no .*state.npz to restart from: name the folder of an"):
@@ -207,7 +213,7 @@ def test_folders_that_are_refused(tmp_path, state):
 
 @pytest.mark.parametrize("damage", ["empty", "short", "flipped", "other"])
 def test_damaged_states(tmp_path, state, damage):
-    """The damage is found when the folder is opened."""
+    """A damaged state is detected when the folder is opened."""
     written(tmp_path, state, 1.0)
     path = tmp_path / "state.npz"
 
@@ -234,7 +240,7 @@ def test_damaged_states(tmp_path, state, damage):
 
 
 def test_full_disk(tmp_path):
-    """Only the first process meets it; all raise, and the last state is kept."""
+    """A full disk on the first process is an error on all; the last state is kept."""
     state = Fields(8)  # its arrays are not sent before they are received
     none = opened(tmp_path / "none", restart=False)
     checkpoint = written(tmp_path / "one", state, 1.0)
@@ -259,7 +265,7 @@ def test_full_disk(tmp_path):
 
 @pytest.mark.processes(2, 3)
 def test_memory_of_the_first_process(tmp_path):
-    """It has one array of another process at a time, and not the earlier states of all."""
+    """The first process holds at most one array of another process at a time."""
     state = Fields(8)
     checkpoint = opened(tmp_path, restart=False)
     past = [state.set(float(t)) for t in range(50)]
@@ -272,7 +278,7 @@ def test_memory_of_the_first_process(tmp_path):
 
 
 class Killed(BaseException):
-    """Stands for SIGKILL; no code of the package catches it."""
+    """Raised in place of SIGKILL; no code of the package catches it."""
 
 
 @pytest.mark.serial
@@ -281,7 +287,7 @@ class Killed(BaseException):
     [(np.lib.format, "write_array"), (os, "fsync"), (os, "replace"), (os, "open")],
 )
 def test_killed_at_any_call(tmp_path, state, monkeypatch, place, name):
-    """Before each of the calls that change the folder: the old state is there or the new one."""
+    """A run killed before any change of the folder leaves its old state or its new one."""
     written(tmp_path / "first", state, 1.0, 2.0)
     call = getattr(place, name)
     seen = 0

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Random sequences of all that a path can have, beside one scalar that is integrated by hand.
+"""Random combinations of the features of a path agree with a scalar model integrated by hand.
 
 Memory, inertia, dashpots, a moving base, pressure, a plate, step lengths; steps that are refused,
 interrupts by exceptions and signals, and restarts on one process or on all of them.
@@ -36,12 +36,12 @@ TOLERANCE = 1e-10
 
 
 class StopError(Exception):
-    """Ends a run in ``on_step``."""
+    """Raised in ``on_step`` to end a run."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """What happens in an attempt, on the last process alone."""
+    """What happens during an attempt, on the last process alone."""
 
     kind: str  #: ``refuse``, ``interrupt`` by an exception or a ``signal``, ``stop`` in ``on_step``
     newton: int  #: in which Newton step
@@ -74,21 +74,21 @@ GAPS = st.lists(st.sampled_from([0.02, 0.05, 0.07, 0.1]), min_size=1, max_size=3
 
 @cache
 def block(alone: bool, inertia: float | None, stopped: bool) -> Block:
-    """Return the block, on each process alone or on all, whose monitor calls the present event."""
+    """Return the block, on each process alone or distributed, whose monitor triggers the event."""
     made = Block(MPI.COMM_SELF if alone else COMM, inertia, stopped=stopped)
     made.problem.solver.setMonitor(lambda snes, it, norm: MONITOR[0](it))
     return made
 
 
 def no_monitor(_it: int) -> None:
-    """Ignore a Newton step."""
+    """Do nothing in a Newton step."""
 
 
 MONITOR: list[Callable[[int], object]] = [no_monitor]
 
 
 class Run:
-    """A path of the block and of the scalar, which events interrupt."""
+    """A path of the block and of the scalar model, interrupted by events."""
 
     def __init__(self, law: Law, targets: list[float], first: float, growth: float) -> None:
         self.law = law
@@ -106,7 +106,7 @@ class Run:
         self.attempts = 0
 
     def matches(self) -> None:
-        """Require state and memory of the scalar, at its time."""
+        """Require the state and memory of the scalar model at its time."""
         at = self.scalar.t
         scalar = self.scalar
         block = self.block
@@ -140,7 +140,7 @@ class Run:
         return comm.rank == comm.size - 1
 
     def go(self, event: Event | None, attempt: int) -> bool:
-        """Follow the path until an event ends it; return True if it reached its end."""
+        """Follow the path until an event ends it; return True if it has reached its end."""
         solves = 0
 
         def monitor(it: int) -> None:
@@ -181,7 +181,7 @@ class Run:
         return True
 
     def restart(self, alone: bool) -> None:
-        """Start again from the checkpoint, if any, with meaningless values in memory."""
+        """Restart from the checkpoint, if any, after the memory was overwritten."""
         COMM.barrier()
         old = self.folder / "all" if self.block.comm == COMM else self.folder / "alone 0"
         new = self.folder / (f"alone {COMM.rank}" if alone else "all")
@@ -223,7 +223,7 @@ class Run:
     events=EVENTS,
 )
 def test_sequence(law, gaps, first, growth, events):
-    """Each step is that of the scalar, and so is each state after an interrupt or a restart."""
+    """Each step has the scalar model's state, also after interruptions and restarts."""
     targets = [round(t, 12) for t in np.cumsum(gaps)]
     run = Run(law, targets, first, growth)
     for attempt, event in sorted(events.items()):
@@ -262,7 +262,7 @@ def test_sequence(law, gaps, first, growth, events):
     ],
 )
 def test_order(law, order):
-    """The steps of the scalar converge to its differential equation with the expected order.
+    """The steps of the scalar model converge to its differential equation with their known order.
 
     Long and short steps take turns. Dashpots without inertia are of first order. With it the work
     on dashpots is of the order of the displacement.
@@ -290,7 +290,7 @@ def test_order(law, order):
 @pytest.mark.serial
 @pytest.mark.parametrize("kind", ["equilibria", "inertia"])
 def test_killed_and_restarted(tmp_path, kind):
-    """It is killed at random moments and restarts on 2, 3 and 1 processes."""
+    """A path killed at random restarts on 2, 3 and 1 processes with the scalar model's steps."""
     finish(start(kind, tmp_path / "whole"))
     random = np.random.default_rng(len(kind))
     killed = 0

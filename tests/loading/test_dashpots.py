@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Dashpots and motions on paths: they are found in the forms, whatever the order of calls."""
+"""A path finds the dashpots in the forms, and advances them whatever the order of calls."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TIGHT = {"snes_rtol": 1e-10, "ksp_rtol": 1e-10}
 
 
 class Block:
-    """A block that a load pulls along x, with Functions and Constants for its dashpots."""
+    """A block that a load pulls along x, with the Functions and Constants of its dashpots."""
 
     def __init__(self) -> None:
         self.mesh = cube(3, 2)
@@ -43,6 +43,7 @@ class Block:
         self.ds = ufl.Measure("ds", self.mesh)
 
     def dashpot(self, u=None, last=None, time_step=None) -> ufl.Form:
+        """Return the energy of a dashpot; arguments replace u, its last value and the time step."""
         return supports.dashpot_energy(
             VISCOSITY,
             self.u if u is None else u,
@@ -53,6 +54,7 @@ class Block:
         )
 
     def problem(self, *more: ufl.Form) -> NonlinearProblem:
+        """Create the problem of the block, with further terms added to its energy."""
         return NonlinearProblem(
             sum(more, self.elastic),
             self.u,
@@ -63,6 +65,7 @@ class Block:
         )
 
     def set_load(self, load: float) -> None:
+        """Set the force along x."""
         self.load.value = load
 
     def creep(self, dashpot: ufl.Form, **arguments: object) -> list[np.ndarray]:
@@ -80,7 +83,7 @@ class Block:
 
 
 def equilibrium(load: float) -> np.ndarray:
-    """The displacement of the block without dashpots and inertia."""
+    """Return the displacement under a load without dashpots and inertia."""
     block = Block()
     block.set_load(load)
     block.problem().solve()
@@ -88,6 +91,7 @@ def equilibrium(load: float) -> np.ndarray:
 
 
 def in_another_space(block: Block) -> ufl.Form:
+    """Return a dashpot whose last displacement is in another space than u."""
     W = dolfinx.fem.functionspace(block.mesh, ("Lagrange", 2, (3,)))
     return block.dashpot(last=dolfinx.fem.Function(W))
 
@@ -113,7 +117,7 @@ def test_creep_of_another_spelling(dashpot: Callable[[Block], ufl.Form]):
 
 
 def test_last_displacement_of_a_sum_that_moves():
-    """After each step it is u + u0 with the present u0; in on_step that of the step before."""
+    """After a step, the last displacement of a dashpot on u + u0 is u + u0 with the new u0."""
     block = Block()
     problem = block.problem(block.dashpot(block.u + block.u0))
     expected = [np.zeros_like(block.u.x.array)]
@@ -131,7 +135,7 @@ def test_last_displacement_of_a_sum_that_moves():
 
 @pytest.mark.parametrize("rtol", [None, 1e-2], ids=["exact", "rough"])
 def test_restart_with_the_dashpot_of_a_sum(tmp_path: Path, rtol: float | None):
-    """A restarted path ends in the state of one run, also if its first step is repeated."""
+    """A restarted path has the end of an uninterrupted one, also if its first step is repeated."""
     steps = Steps(first=0.25, least=0.1, growth=1.0, rtol=rtol)
 
     def follow(name: str, targets: list[float], *, restart=False, until=np.inf) -> np.ndarray:
@@ -159,7 +163,7 @@ def test_restart_with_the_dashpot_of_a_sum(tmp_path: Path, rtol: float | None):
 
 
 def test_a_cell_of_a_notebook_that_runs_again():
-    """A dashpot with a number that no form holds any more is none; the new one follows."""
+    """A motion ignores dashpots that are no longer in the forms, and advances those that are."""
     block = Block()
     motion = Motion(block.u, 1e-3)
     block.dashpot(time_step=0.1)  # of the first run of the cell
@@ -195,6 +199,7 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_a_path_refuses_when_it_begins(case):
+    """A path refuses dashpots that it cannot advance, with u unchanged."""
     dashpot, match = REFUSED[case]
     block = Block()
     motion = Motion(block.u, 1e-3)
@@ -208,6 +213,7 @@ def test_what_a_path_refuses_when_it_begins(case):
 
 
 def test_a_last_displacement_that_is_the_present_one():
+    """A dashpot refuses u itself as its last displacement."""
     block = Block()
     with pytest.raises(ValueError, match="last is u itself: give another Function"):
         block.dashpot(last=block.u)
@@ -217,7 +223,11 @@ def test_a_last_displacement_that_is_the_present_one():
 
 
 def swung(block: Block, *more: ufl.Form, rate: float = 0.0) -> NonlinearProblem:
-    """Follow a swinging block; its Motion no longer exists at the end."""
+    """Return the problem of a block after a motion whose Motion is deleted.
+
+    Args: block: The block, which has swung for two steps. more: Further terms of its energy, such
+    as dashpots. rate: Factor of the motion's velocity in the residual.
+    """
     motion = Motion(block.u, 1e-3)
     v = ufl.TestFunction(block.V)
     damped = rate * ufl.inner(motion.rate, v) * ufl.dx(block.mesh)
@@ -237,6 +247,7 @@ def swung(block: Block, *more: ufl.Form, rate: float = 0.0) -> NonlinearProblem:
 @pytest.mark.parametrize("rate", [0.0, 1.0], ids=["inertia", "and-rate"])
 @pytest.mark.parametrize("has_dashpot", [False, True], ids=["free", "dashpot"])
 def test_equilibrium_after_a_motion_that_is_gone(rate, has_dashpot):
+    """After its Motion is deleted, a problem has equilibria without inertia and dashpots."""
     block = Block()
     problem = swung(block, *([block.dashpot()] if has_dashpot else []), rate=rate)
     gc.collect()
@@ -247,7 +258,7 @@ def test_equilibrium_after_a_motion_that_is_gone(rate, has_dashpot):
 
 
 def test_equilibrium_of_another_problem_with_the_rate_of_a_motion():
-    """The velocity is in its forms, and the inertia is not."""
+    """The velocity of a motion does not contribute to the equilibria of another problem."""
     block = Block()
     motion = Motion(block.u, 1e-3)
     follow_time(block.problem(motion.inertia), motion, lambda t: None, [0.2], TIMES)
@@ -266,7 +277,7 @@ def test_equilibrium_of_another_problem_with_the_rate_of_a_motion():
 
 
 def test_a_time_step_that_is_set_between_two_paths_of_loads():
-    """A motion that has let go of the dashpots does not stop them again."""
+    """A time step set between two load paths is kept, so that the dashpots resist in the second."""
     block = Block()
     problem = swung(block, block.dashpot())
     follow_load(problem, block.set_load, [1.5], STEPS, start=1.0)
@@ -280,7 +291,7 @@ def test_a_time_step_that_is_set_between_two_paths_of_loads():
 
 
 def test_motion_after_equilibria_after_a_motion():
-    """The dashpots follow the velocity again, as if there had been no equilibrium in between."""
+    """After load steps in between, a motion has the end and the dissipation of a new block's."""
     ends = []
     for between in (False, True):
         block = Block()

@@ -29,6 +29,7 @@ LAST = COMM.rank == COMM.size - 1
 
 
 def increments(steps: list[LoadStep]) -> np.ndarray:
+    """Return the increments of load steps."""
     return np.abs([step.increment for step in steps])
 
 
@@ -44,6 +45,7 @@ def increments(steps: list[LoadStep]) -> np.ndarray:
     ],
 )
 def test_targets_are_met_exactly_one_after_the_other(create_fake_problem, first, targets):
+    """Load steps reach all targets exactly, in their order."""
     problem = create_fake_problem(start=0.05)
     turns = len(set(np.sign(np.diff([0.05, *targets])))) > 1
     steps = problem.follow(targets, Steps(first=first, least=0.01), unloading=turns)
@@ -61,6 +63,7 @@ def test_targets_are_met_exactly_one_after_the_other(create_fake_problem, first,
 
 @pytest.mark.parametrize("targets", [[], [0.3], [0.3, 0.3]])
 def test_nothing_is_done_where_one_is_already(create_fake_problem, targets):
+    """Targets equal to the present load need no load step."""
     problem = create_fake_problem(start=0.3)
     agree(problem.follow(targets, Steps(first=1.0, least=1.0)) == [] and not problem.attempts)
 
@@ -75,12 +78,14 @@ def test_nothing_is_done_where_one_is_already(create_fake_problem, targets):
     ],
 )
 def test_increments(create_fake_problem, cost, targets, first, growth, expected):
+    """The increments of a path are those expected from cost, growth and targets."""
     problem = create_fake_problem(cost=lambda increment: cost)
     steps = problem.follow(targets, Steps(first=first, least=0.1, growth=growth, quick=3))
     equal(increments(steps), expected, 1e-9)
 
 
 def test_increments_grow_after_quick_steps(create_fake_problem):
+    """An increment grows after a load step with few Newton steps."""
     problem = create_fake_problem(cost=lambda increment: 3)
     steps = problem.follow([100.0], Steps(first=1.0, least=1.0, growth=2.0, quick=3))
     found = increments(steps)
@@ -89,7 +94,7 @@ def test_increments_grow_after_quick_steps(create_fake_problem):
 
 
 class Doubling(StepLengthRule[LoadStep]):
-    """A rule of a script: each step is twice as long as the one before."""
+    """A step-length rule that doubles each increment."""
 
     def adapt(self, step, *, n_updates):
         self.present = 2.0 * abs(step.increment)
@@ -97,19 +102,21 @@ class Doubling(StepLengthRule[LoadStep]):
 
 @dataclass(frozen=True)
 class DoubledSteps(Steps):
+    """Steps with the rule that doubles each increment."""
+
     def length_rule(self):
         return Doubling(self.first, self.least)
 
 
 def test_a_further_rule_is_a_class_and_a_line(create_fake_problem):
-    """Settings create the rule, which may ignore how quick a step was."""
+    """A user's step-length rule decides the increments, also after slow load steps."""
     problem = create_fake_problem(cost=lambda increment: 99)
     steps = problem.follow([7.0], DoubledSteps(first=1.0, least=1.0, quick=3))
     equal(increments(steps), [1.0, 2.0, 4.0], ROUNDING)
 
 
 def test_increment_is_halved_until_it_succeeds(create_fake_problem):
-    """Each new attempt begins in the last equilibrium, with a new preconditioner."""
+    """Attempts are halved from the last equilibrium, each with a new preconditioner."""
     problem = create_fake_problem(
         fails=lambda before, load: load - before > 0.3, cost=lambda increment: 9
     )
@@ -127,7 +134,7 @@ def test_increment_is_halved_until_it_succeeds(create_fake_problem):
 
 
 def test_increment_does_not_grow_in_a_step_that_failed_first(create_fake_problem):
-    """The step was quick, but only because it was short."""
+    """An increment does not grow after a load step that needed a second attempt."""
     problem = create_fake_problem(fails=lambda before, load: before == 0.0 and load > 0.3)
     steps = problem.follow([8.0], Steps(first=1.0, least=0.01, growth=2.0, quick=3))
     equal(increments(steps)[:2], [0.25, 0.25], 0.01)
@@ -145,7 +152,7 @@ def test_increment_does_not_grow_in_a_step_that_failed_first(create_fake_problem
     ],
 )
 def test_least_increment(create_fake_problem, start, target, first, least, last):
-    """State, load and tolerances are those of the last equilibrium; the message has a remedy."""
+    """At the least increment a path ends in the last equilibrium, with a remedy in its error."""
     problem = create_fake_problem(
         start=start, fails=lambda before, load: abs(load - start) > last - start
     )
@@ -183,7 +190,7 @@ def test_least_increment(create_fake_problem, start, target, first, least, last)
     ],
 )
 def test_remedy_fits_the_failure(create_fake_problem, error, match):
-    """At a limit point no increment helps, and an unsupported body has its advice already."""
+    """Smaller increments are not recommended at limit points and for unsupported bodies."""
 
     def fails(before: float, load: float) -> bool:
         if load > 0.5:
@@ -198,7 +205,7 @@ def test_remedy_fits_the_failure(create_fake_problem, error, match):
 
 @pytest.mark.parametrize("growth", [1.0, 1.7])
 def test_prediction_is_exact_for_parabolas(create_fake_problem, growth):
-    """This holds for increments of any length, after a turn of the load, and after a failure.
+    """The prediction is exact for quadratic paths, after turns and failures too.
 
     The first steps begin with the tangent of the last equilibrium. The tolerance refers to that
     under the new load, not to the prediction.
@@ -220,7 +227,7 @@ def test_prediction_is_exact_for_parabolas(create_fake_problem, growth):
 
 
 def test_inadmissible_prediction_gives_way_to_the_tangent(create_fake_problem):
-    """The step is not counted as failed, unless the solve from the last tangent fails, too."""
+    """After an inadmissible prediction, the solve begins with the last tangent."""
     problem = create_fake_problem(
         inside_out=lambda load: load > 0.5, fails=lambda before, load: load == 0.8
     )
@@ -235,7 +242,7 @@ def test_inadmissible_prediction_gives_way_to_the_tangent(create_fake_problem):
 
 @pytest.mark.parametrize("rough", [None, 1e-2, OWN / 100])
 def test_rough_on_the_way_and_exact_at_the_targets(create_fake_problem, rough):
-    """If this is asked for; a tolerance of the solver that is looser is kept."""
+    """Steps between targets use the looser of their own tolerances and the solver's."""
     problem = create_fake_problem(fails=lambda before, load: load == 0.5 and load - before > 0.15)
     solvers = (problem.solver, problem.solver.getKSP())
     before = [solver.getTolerances() for solver in solvers]
@@ -250,6 +257,7 @@ def test_rough_on_the_way_and_exact_at_the_targets(create_fake_problem, rough):
 
 
 def test_on_step_is_called_in_each_equilibrium_on_all_processes(create_fake_problem):
+    """``on_step`` is called on all processes, in the state of each load step."""
     problem = create_fake_problem(
         cost=lambda increment: 2, fails=lambda before, load: load - before > 0.25
     )
@@ -278,7 +286,7 @@ def test_on_step_is_called_in_each_equilibrium_on_all_processes(create_fake_prob
     ],
 )
 def test_bad_loads(create_fake_problem, start, targets, match):
-    """If one process alone has them, all raise before the first step."""
+    """Bad loads, even on one process only, raise on all before the first load step."""
     problem = create_fake_problem()
     if not LAST:
         start = 0.0
@@ -290,7 +298,7 @@ def test_bad_loads(create_fake_problem, start, targets, match):
 
 @pytest.mark.parametrize("where", ["set_load", "on_step"])
 def test_call_that_fails_on_one_process(create_fake_problem, where):
-    """It fails on all, and leaves state, tolerances and load of the last equilibrium."""
+    """A callback's error on one process raises on all, in the last equilibrium."""
     problem = create_fake_problem()
 
     def call(name: str, load: float) -> None:
@@ -315,7 +323,7 @@ def test_call_that_fails_on_one_process(create_fake_problem, where):
 
 
 def test_wall_up_and_down():
-    """The solution is the same when solved at once, in steps, and after unloading."""
+    """A wall solved at once, in steps and after unloading has the same solution."""
     tight = {"snes_rtol": 1e-11}
     direct, stepped = (wall(tube(around=6, along=2), degree=1) for _ in range(2))
     direct.inflate(direct.problem(4, tight), [4.0])

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Motion: the equations of the generalised-α method, closed forms, and its own restart."""
+"""Motions satisfy the generalised-α equations and closed forms, and restart exactly."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ END = 4e-4  # s
 
 
 def soft(u: dolfinx.fem.Function):
-    """The energy of a soft, compressible body."""
+    """Return the energy of a soft, compressible body."""
     F = kinematics.deformation_gradient(u)
     J = kinematics.jacobian(F)
     return materials.neo_hookean(F.T * F, c=3.0, J=J) + materials.volumetric(J, 10.0)
 
 
 class Swinging:
-    """A block that is held at one face and begins to move."""
+    """A block that is clamped at one face and begins with a velocity."""
 
     def __init__(self, *, rho: float = 0.8) -> None:
         mesh = cube(3, 2)
@@ -78,7 +78,7 @@ class Swinging:
 def moving_wall(
     degree: int, rho: float = 0.8, dashpot: float = 0.0
 ) -> tuple[Wall, Motion, NonlinearProblem]:
-    """The quarter of a tube with inertia, and dashpots in all of it."""
+    """Return a quarter tube with inertia and dashpots in its volume, its Motion and its problem."""
     body = wall(tube(quarter=True, around=3, along=1), quarter=True, degree=degree)
     u = body.u
     motion = Motion(body.u, DENSITY, rho=rho)
@@ -98,6 +98,7 @@ def moving_wall(
 
 
 def fixed(dt: float) -> TimeSteps:
+    """Return time steps of one length."""
     return TimeSteps(first=dt, least=dt / 8.0)
 
 
@@ -140,7 +141,7 @@ def test_pulse():
 @pytest.mark.serial
 @pytest.mark.parametrize("rho", [1.0, 0.0])
 def test_second_order_and_balance(rho):
-    """Halving Δt divides errors by four, and what lacks in the balance of energies, too."""
+    """Halving Δt divides the errors of u by four, and the energy balance converges as well."""
     found = []
     lost = []
     for n in (8, 16, 32):
@@ -157,7 +158,7 @@ def test_second_order_and_balance(rho):
 
 @pytest.mark.parametrize("rho", [1.0, 0.8, 0.0])
 def test_estimated_error_of_a_step(rho):
-    """It is exact if the acceleration grows linearly from rest, a = j t, with u = j t³/6."""
+    """The estimated error is exact for u = j t³/6, a linear acceleration from rest."""
     dt = 0.1
     j = np.array([3.0, -4.0, 12.0])
     u = dolfinx.fem.Function(dolfinx.fem.functionspace(cube(3, 1), ("Lagrange", 1, (3,))))
@@ -173,13 +174,13 @@ def test_estimated_error_of_a_step(rho):
 
 
 def body(n: int, degree: int) -> tuple[dolfinx.fem.Function, ufl.Form]:
-    """The displacement of a soft cube, and its energy."""
+    """Return the displacement of a soft cube, and its energy."""
     u = dolfinx.fem.Function(dolfinx.fem.functionspace(cube(3, n), ("Lagrange", degree, (3,))))
     return u, soft(u) * ufl.dx
 
 
 def test_initial_acceleration():
-    """A body at rest under a load per mass of g begins with g."""
+    """A body at rest under a load per mass of g begins with the acceleration g."""
     u, energy = body(2, 2)
     motion = Motion(u, DENSITY)
     energy += DENSITY * 9810.0 * u[2] * ufl.dx + motion.inertia
@@ -190,9 +191,9 @@ def test_initial_acceleration():
 @pytest.mark.processes(1, 2)
 @pytest.mark.parametrize(("eta", "tolerance"), [(0.0, 1e-8), (1e-3, 1e-3)])  # kPa s/mm²
 def test_free_flight(eta, tolerance):
-    """A rigid body, with a dashpot under all of it or none: v falls as e^{−ηt/ρ}.
+    """The velocity of a free rigid body with dashpots decays as e^{−ηt/ρ}.
 
-    The dashpot takes what is lacking of ½ ρ v². With a mass no subdomain has a kernel.
+    The dashpot dissipates what ½ ρ v² loses. With a mass no subdomain has a kernel.
     """
     u, energy = body(2, 1)
     motion = Motion(u, DENSITY)
@@ -216,7 +217,7 @@ def test_free_flight(eta, tolerance):
 
 @pytest.mark.parametrize("inertia", [True, False])
 def test_dashpots_with_one_last_displacement(inertia):
-    """Two surfaces, two time steps, one last displacement: both resist as one with both does."""
+    """Two dashpots with one last displacement act as one with the sum of their viscosities."""
     ends = []
     for viscosities in ([0.5], [0.2, 0.3]):
         u, energy = body(2, 1)
@@ -253,7 +254,7 @@ def test_dashpots_with_one_last_displacement(inertia):
 
 @pytest.mark.processes(1, 2)
 def test_adapted_steps():
-    """Each keeps its tolerance, lengths vary, and do not depend on the rounding of the time."""
+    """Adapted time steps keep their tolerance and do not depend on rounding of the time."""
     tolerance = 2e-5
     first = END / 2
     lengths = TimeSteps(first=first, least=END / 512, longest=END, tolerance=tolerance)
@@ -267,6 +268,7 @@ def test_adapted_steps():
 
 @pytest.mark.processes(1, 2)
 def test_no_step_is_short_enough():
+    """If the least time step is too inaccurate, the path raises with state and time unchanged."""
     block = Swinging()
     before = owned(block.u).copy()
     with raises(ConvergenceError, r"is the least allowed. A step of .* estimated error"):
@@ -276,7 +278,7 @@ def test_no_step_is_short_enough():
 
 
 def test_restart(tmp_path):
-    """With a condensed pressure, a run that goes on has the steps of one run, and its end."""
+    """With a condensed pressure, a restarted motion repeats the steps and end of one run."""
     ends = []
     dt = 5e-5
     for legs in ([4], [2, 4, 4]):  # the last one has nothing left to do

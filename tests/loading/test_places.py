@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Loads and times that are one number but for rounding: no step is taken between them."""
+"""Loads and times that differ by rounding are one place, with no step between them."""
 
 from __future__ import annotations
 
@@ -35,11 +35,13 @@ SUM = float(np.cumsum(np.full(10_000, 0.1))[-1])
     ],
 )
 def test_same_place(a, b, largest, least, expected):
+    """Two places are equal if their distance is rounding, and far below the least step."""
     tolerance = PlaceTolerance(largest, least)
     assert tolerance.are_equal(a, b) == tolerance.are_equal(b, a) == expected, abs(a - b)
 
 
 def test_what_turns_back_by_rounding_alone_does_not():
+    """Targets that turn back by rounding are merged, and by more are refused."""
     tolerance = PlaceTolerance(0.6, 1e-3)
     assert tolerance.without_repeats(0.0, [3 * 0.1, 0.3, 0.6]) == [3 * 0.1, 0.6]
     assert tolerance.without_repeats(3 * 0.1, [0.3, 0.6]) == [0.6]
@@ -58,6 +60,7 @@ def test_what_turns_back_by_rounding_alone_does_not():
     ],
 )
 def test_a_path_takes_no_step_between_them(create_fake_problem, targets, unloading):
+    """A path meets all targets in order, and takes no step between equal ones."""
     problem = create_fake_problem()
     steps = problem.follow(targets, STEPS, unloading=unloading)
     shortest = min(abs(step.increment) for step in steps)
@@ -73,12 +76,17 @@ def test_a_path_takes_no_step_between_them(create_fake_problem, targets, unloadi
 
 
 def test_a_path_that_begins_at_its_first_target(create_fake_problem):
+    """A path that begins at its only target, up to rounding, takes no step."""
     problem = create_fake_problem(start=0.1 + 0.2)
     agree(problem.follow([0.3], STEPS) == [] and not problem.attempts, problem.attempts)
 
 
 def test_a_target_that_was_met_before_a_restart(create_fake_problem, tmp_path):
-    """A target is recognised although it differs from the reached load by rounding."""
+    """After a restart, a target that equals the reached load up to rounding is not solved again.
+
+    The first run makes three steps of 0.1. The second one returns all six, and solves the last
+    three.
+    """
     first = create_fake_problem()
     first.follow([0.3], STEPS, checkpoint=Checkpoint(tmp_path, COMM))
     second = create_fake_problem()

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The bar of the load on a terminal, and its lines in the log."""
+"""The progress bar of a path on a terminal, and its lines in the log."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from dolfinx_feti.loading.steps import Steps
 
 
 class Terminal(io.StringIO):
-    """A terminal, or none, that keeps what is written to it or fails."""
+    """A stream, perhaps a terminal, that records what is written or fails."""
 
     encoding = "utf-8"
 
@@ -41,7 +41,7 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def open_terminal(monkeypatch) -> Callable[..., Terminal]:
-    """Replace stderr of each process by a terminal, and stop the clock, as on a busy machine."""
+    """Return a function that replaces stderr by a Terminal; the clock is stopped."""
     clock = SimpleNamespace(perf_counter=lambda: 0.0)
     monkeypatch.setattr("dolfinx_feti.loading.stepper.time", clock)
     monkeypatch.setenv("COLUMNS", "80")
@@ -57,27 +57,29 @@ def open_terminal(monkeypatch) -> Callable[..., Terminal]:
 
 @pytest.fixture
 def terminal(open_terminal) -> Terminal:
+    """The recording terminal of this process."""
     return open_terminal()
 
 
 def lines(written: str) -> list[str]:
-    """Return what stood on the terminal's line, one after the other."""
+    """Return the successive texts of the terminal's line."""
     return [line.strip() for line in written.split("\r")[1:]]
 
 
 def shown(terminal: Terminal) -> list[str]:
-    """Return those with a Newton step in them."""
+    """Return the successive texts that count Newton steps."""
     return [line for line in lines(terminal.getvalue()) if "Newton" in line]
 
 
 def test_nothing_is_shown_where_there_is_no_terminal(create_fake_problem, open_terminal):
+    """Without a terminal nothing is written to stderr."""
     screen = open_terminal(there=False)
     create_fake_problem().follow([1.0], Steps(first=0.1, least=0.1))
     agree(screen.getvalue() == "")
 
 
 def test_bar_on_the_first_process(create_fake_problem, terminal):
-    """Share of the way, up and down, the time left once it is known, the load and Newton step."""
+    """Only the first process shows the bar: share, time left, load and Newton step."""
     steps = Steps(first=1.0, least=1.0, growth=1.0)
     create_fake_problem(cost=lambda increment: 2).follow(
         [3.0, 1.0], steps, unloading=True, unit="mmHg"
@@ -94,7 +96,7 @@ def test_bar_on_the_first_process(create_fake_problem, terminal):
 
 
 def test_bar_goes_when_the_way_ends(create_fake_problem, terminal):
-    """After a failure too, and a later solve of the same SNES shows nothing."""
+    """The bar is removed at the end, after a failure too, and later solves show none."""
     problem = create_fake_problem(fails=lambda before, load: load > 0.5)
     with raises(ConvergenceError, "beyond a load of 0.5"):
         problem.follow([1.0], Steps(first=0.5, least=0.5))
@@ -105,7 +107,7 @@ def test_bar_goes_when_the_way_ends(create_fake_problem, terminal):
 
 
 def test_one_monitor_however_many_loads(create_fake_problem, terminal):
-    """The user's monitor is kept, and each load gets a separate progress bar."""
+    """Each path has a new bar, and the user's monitor is kept."""
     problem = create_fake_problem()
     seen = []
     problem.solver.setMonitor(lambda snes, its, norm: seen.append(its))
@@ -118,7 +120,7 @@ def test_one_monitor_however_many_loads(create_fake_problem, terminal):
 
 
 def test_bar_makes_room_for_other_output(create_fake_problem, terminal):
-    """Where ``on_step`` is called, the line is empty."""
+    """The line of the bar is empty while ``on_step`` is called."""
     cleared = []
     create_fake_problem().follow(
         [1.0],
@@ -138,7 +140,7 @@ def test_bar_makes_room_for_other_output(create_fake_problem, terminal):
     ids=lambda error: type(error).__name__,
 )
 def test_terminal_of_the_first_process(error, create_fake_problem, open_terminal):
-    """The run goes on without the bar, if it cannot be written."""
+    """If the terminal cannot be written, the path goes on without a bar."""
     screen = open_terminal(error=error)
     steps = create_fake_problem(cost=lambda increment: 2).follow([1.0], Steps(first=0.2, least=0.1))
     agree(steps[-1].load == 1.0 and (screen.tried > 0) == (COMM.rank == 0))
@@ -150,7 +152,7 @@ def test_terminal_of_the_first_process(error, create_fake_problem, open_terminal
 
 
 def test_a_line_for_each_load_step(create_fake_problem, open_terminal, caplog):
-    """On the first process; a failed attempt has a separate line."""
+    """The first process logs one line for each load step, and one for each failed attempt."""
     caplog.set_level("INFO", logger="dolfinx_feti")
     problem = create_fake_problem(
         cost=lambda increment: 2, fails=lambda before, load: before == 0.5 and load == 1.0

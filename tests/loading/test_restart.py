@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Restarts: they repeat an uninterrupted run, and notice another problem; starts are checked."""
+"""Restarted paths repeat uninterrupted ones; other problems and bad starts are refused."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ TIMES = TimeSteps(first=0.1, least=0.01)
 
 
 class Pulled:
-    """A block under a load of its volume, whose stiffness is a Constant and whose κ a number."""
+    """A block under a body force, with its stiffness as a Constant and κ as a number."""
 
     def __init__(self, *, c: float = 3.0, kappa: float = 10.0) -> None:
         self.mesh = cube(3, 2)
@@ -75,7 +75,7 @@ class Pulled:
     ],
 )
 def test_restart_with_another_material(tmp_path, other, match):
-    """Another material is refused unless the user allows it; another load is not."""
+    """A restart refuses another material unless allowed, and accepts another load."""
     Pulled().follow([0.5], Checkpoint(tmp_path, COMM))
     with raises(ValueError, f"{match}.*allow_changes=True"):
         Pulled(**other).follow([0.5, 1.0], Checkpoint(tmp_path, COMM, restart=True))
@@ -87,7 +87,7 @@ def test_restart_with_another_material(tmp_path, other, match):
 
 
 def test_signature_of_what_is_made_again():
-    """The signature does not depend on UFL's numbers of Constants, which it sorts as text."""
+    """The signature of equal forms does not depend on UFL's numbering of Constants."""
     numbers = set()
     for _ in range(30):
         body = Pulled()
@@ -112,7 +112,7 @@ def test_signature_of_what_is_made_again():
     ids=["P3", "N1curl", "RT", "quadrature"],
 )
 def test_elements_on_other_numbers_of_processes(tmp_path, element):
-    """Edges and faces are turned otherwise there: the field is the same."""
+    """A field restarted on another number of processes is the same, for each element."""
 
     def create(comm):
         mesh = dolfinx.mesh.create_unit_cube(comm, 2, 3, 2)
@@ -133,7 +133,7 @@ def test_elements_on_other_numbers_of_processes(tmp_path, element):
 
 
 def test_what_is_refused_when_a_motion_begins():
-    """Forms without its inertia, a dashpot that cannot follow, times that do not ascend."""
+    """A motion refuses forms without its inertia, unfit dashpots and descending times."""
     body = Pulled()
     motion = Motion(body.u, 1.0)
     last = dolfinx.fem.Function(body.u.function_space)
@@ -152,7 +152,7 @@ def test_what_is_refused_when_a_motion_begins():
 
 
 def test_equilibria_after_a_motion():
-    """Inertia and velocities are left out, as if there had been none."""
+    """Load steps after a motion have equilibria without inertia and velocity."""
     body = Pulled()
     motion = Motion(body.u, 1e-3)
     last = dolfinx.fem.Function(body.u.function_space)
@@ -192,7 +192,7 @@ def follow(
 
 
 def interrupted(folder: Path, rtol: float | None = None) -> LoadStep:
-    """Follow the load up to the second step beyond 1 mmHg, which is lost; return the first."""
+    """Follow a load, interrupt the second step beyond 1 mmHg, and return the first one."""
     beyond: list[LoadStep] = []
 
     def stop(step: LoadStep) -> None:
@@ -207,7 +207,7 @@ def interrupted(folder: Path, rtol: float | None = None) -> LoadStep:
 
 
 def test_a_restart_goes_the_way_of_one_run(tmp_path):
-    """Steps, increments, predictions and iterations: the equilibria of the past are kept, too."""
+    """A restarted path repeats steps, increments, predictions and iterations."""
     whole, one = follow(tmp_path / "whole", 3.0, restart=False)
     agree(all(step.history[0].lag == 0 for step in whole), "a checkpoint has no preconditioner")
     interrupted(tmp_path / "parts")
@@ -224,7 +224,7 @@ def test_a_restart_goes_the_way_of_one_run(tmp_path):
 
 @pytest.mark.parametrize("rtol", [None, 1e-2])
 def test_a_target_that_was_met_on_the_way(rtol, tmp_path):
-    """Its step is taken again if it was met roughly; otherwise there is nothing left to do."""
+    """A restart solves a reached target again only if it was solved with a loose tolerance."""
     kept = interrupted(tmp_path, rtol)
     shown: list[float] = []
     again, body = follow(
@@ -237,7 +237,7 @@ def test_a_target_that_was_met_on_the_way(rtol, tmp_path):
 
 
 def test_a_foreign_record(tmp_path):
-    """A record of another program, or with other fields, is refused and not changed."""
+    """A record of another program or with other fields is refused and left unchanged."""
     _, body = follow(tmp_path / "steps", 1.0, restart=False)
     other = Checkpoint(tmp_path / "steps", COMM, restart=True)
     other.record["steps"][0]["history"][0]["renamed"] = 1.0
@@ -252,7 +252,7 @@ def test_a_foreign_record(tmp_path):
 
 
 class Alternating(StepLengthRule[LoadStep]):
-    """A rule of a script that remembers more than a length: long and short steps take turns."""
+    """A step-length rule with a state: long and short steps alternate."""
 
     def __init__(self, first, least):
         super().__init__(first, least)
@@ -272,12 +272,14 @@ class Alternating(StepLengthRule[LoadStep]):
 
 @dataclass(frozen=True)
 class AlternatingSteps(Steps):
+    """Steps with the rule that alternates long and short ones."""
+
     def length_rule(self):
         return Alternating(self.first, self.least)
 
 
 def test_a_record_of_another_step_length_rule(tmp_path):
-    """A rule refuses a record without its state, and changes nothing; it reads its own records."""
+    """A rule reads its own records, and refuses those of another rule."""
     Pulled().follow([0.5], Checkpoint(tmp_path / "usual", COMM))
     steps = AlternatingSteps(first=0.5, least=0.1)
     body = Pulled()

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Walls that are known under load: prestress, by the lines of docs/prestress.md, and unloading."""
+"""Imaged walls under load: prestress, with the code of docs/prestress.md, and unloading."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ both = pytest.mark.parametrize("prestressed", [True, False])
 
 
 def program() -> list[str]:
-    """Return the blocks of Python of the page's section: wall, energy, problem, solves."""
+    """Return the Python blocks of docs/prestress.md: wall, energy, problem, solves."""
     section = PAGE.read_text(encoding="utf-8").partition("\n## Prestress")[2]
     return re.findall(r"^```python\n(.*?)^```", section.partition("\n## ")[0], re.M | re.S)
 
 
 class Scan:
-    """A quarter of a tube in plane strain, imaged under pressure, to be prestressed or unloaded."""
+    """A quarter tube in plane strain, imaged under pressure, to be prestressed or unloaded."""
 
     def __init__(self, *, prestressed: bool, length: float = 1.0, degree: int = 2) -> None:
         self.mesh = mesh = tube(quarter=True, around=8, along=1, length=0.2)
@@ -88,7 +88,7 @@ class Scan:
         self.load.value = loads.mmhg(pressure)
 
     def find(self, *targets: float, steps: Steps = STEPS, **options: object) -> list[LoadStep]:
-        """Prestress the image, or unload it."""
+        """Prestress or unload the image."""
         given = self.problem, self.set_load, targets, steps
         return (
             prestress(*given, **{"G": self.G} | options)
@@ -97,29 +97,29 @@ class Scan:
         )
 
     def found(self) -> np.ndarray:
-        """G, or where the nodes are without load."""
+        """Return G, or the unloaded nodes."""
         return self.G.x.array if self.prestressed else self.mesh.geometry.x / self.length
 
     def inflate(self, start: float, target: float) -> list[LoadStep]:
         return follow_load(self.problem, self.set_load, [target], STEPS, start=start)
 
     def moved(self) -> float:
-        """The longest displacement of a dof [mm]."""
+        """Return the largest displacement of a dof [mm]."""
         return self.nodes.longest(self.u.x.array.reshape(-1, 3))
 
     def distance(self) -> float:
-        """How far the loaded wall is from the image [mm]."""
+        """Return the distance of the loaded wall from the image [mm]."""
         loaded = self.mesh.geometry.x + self.nodes.displacement(self.u)
         return self.nodes.longest(loaded - self.nodes.initial)
 
     def hoop_stress(self) -> ufl.core.expr.Expr:
-        """σ_θθ [kPa]."""
+        """Return σ_θθ [kPa]."""
         x = ufl.SpatialCoordinate(self.mesh) + self.u
         e = ufl.as_vector([-x[1], x[0], 0])
         return ufl.inner(e, self.stress * e) / ufl.inner(e, e)
 
     def mean_hoop_stress(self) -> float:
-        """The mean of σ_θθ from the lumen to the outside [kPa]."""
+        """Return the mean of σ_θθ through the wall [kPa]."""
         x = ufl.SpatialCoordinate(self.mesh) + self.u
         weight = ufl.det(self.F) / ufl.sqrt(x[0] ** 2 + x[1] ** 2)  # dv/r = dr dθ dz
         dx = ufl.dx(metadata={"quadrature_degree": 4})
@@ -131,7 +131,7 @@ class Scan:
 
 @pytest.mark.processes(1, 2)
 def test_image_in_balance():
-    """It stays, its hoop stress is p r/h in the mean, and like that of the unloaded wall."""
+    """The prestressed image is in equilibrium, with a mean hoop stress of p r/h."""
     scan = Scan(prestressed=True)
     unloaded = Scan(prestressed=False)
     scan.find(80.0)
@@ -150,7 +150,7 @@ def test_image_in_balance():
 
 @pytest.mark.processes(1, 2)
 def test_lines_of_the_page():
-    """They lead to 120 mmHg."""
+    """The code of docs/prestress.md reaches 120 mmHg."""
     scan = Scan(prestressed=True)
     exec(program()[3], scan.names)
     agree(float(scan.load.value) == loads.mmhg(120.0) and scan.moved() > 0.03)
@@ -162,7 +162,7 @@ def test_lines_of_the_page():
 @pytest.mark.processes(1, 2)
 @pytest.mark.parametrize("degree", [1, 2])
 def test_loaded_again_it_is_the_image(degree):
-    """The loaded wall has the image's nodes; finding it costs at most three inflations."""
+    """The unloaded wall, loaded again, is the image, at the cost of at most three inflations."""
     scan = Scan(prestressed=False, degree=degree)
     inflation = scan.inflate(0.0, 80.0)
     for f in (scan.u, scan.p):
@@ -179,12 +179,12 @@ def test_loaded_again_it_is_the_image(degree):
 
 
 def cost(steps: list[LoadStep]) -> tuple[int, int]:
-    """Count load steps and Newton steps, those of failed attempts included."""
+    """Return the number of load steps and Newton steps, failed attempts included."""
     return sum(1 + step.failures for step in steps), sum(len(step.all_steps) for step in steps)
 
 
 def test_fibres_follow():
-    """F A has the direction of the image's fibre in each cell, and A is a unit vector."""
+    """Fibres of the unloaded wall, moved by F, have the image's directions in each cell."""
     scan = Scan(prestressed=False)
     moves = []
     a = scan.fibres[0]
@@ -206,7 +206,7 @@ def test_fibres_follow():
 
 @pytest.mark.processes(1, 2)
 def test_failure_of_the_last_move_leaves_the_image():
-    """When on_move raises after the last solve; it is called once more, for the image."""
+    """If ``on_move`` raises, the image is restored and ``on_move`` is called for it."""
     moves = []
     Scan(prestressed=False).find(10.0, on_move=lambda: moves.append(None))
     scan = Scan(prestressed=False)
@@ -226,6 +226,7 @@ def test_failure_of_the_last_move_leaves_the_image():
 
 
 def test_inverted_cells_are_counted():
+    """The error of inverted cells counts them."""
     scan = Scan(prestressed=False)
     agree(scan.nodes.inverted() == 0)
     scan.mesh.geometry.x[:, 0] *= -1.0
@@ -233,7 +234,7 @@ def test_inverted_cells_are_counted():
 
 
 def test_cell_inside_out_on_the_way(monkeypatch):
-    """A guess that a solve cannot begin with is taken back by half, and the wall is found."""
+    """A guess that inverts a cell is halved, and the unloaded wall is found."""
     scan = Scan(prestressed=False)
     calls = []
     solve = scan.problem.solve
@@ -278,7 +279,7 @@ def test_path_that_goes_on(tmp_path, prestressed):
 
 @both
 def test_steps_are_the_same_in_any_unit_of_length(prestressed):
-    """Units are millimetres, metres and micrometres."""
+    """The steps of a path are the same in millimetres, metres and micrometres."""
     scans = [Scan(prestressed=prestressed, length=length) for length in (1.0, 1e-3, 1e3)]
     taken = [[len(step.all_steps) for step in scan.find(20.0)] for scan in scans]
     agree(taken[1] == taken[0] and taken[2] == taken[0], taken)
@@ -289,7 +290,7 @@ def test_steps_are_the_same_in_any_unit_of_length(prestressed):
 @both
 @pytest.mark.processes(1, 2)
 def test_failure_leaves_the_image(prestressed):
-    """A load that nothing carries: G or mesh, load and displacement are the last good."""
+    """A load without equilibrium leaves G or mesh, load and displacement of the last one."""
     scan = Scan(prestressed=prestressed)
     seen = []
     before = scan.found().copy()
@@ -303,6 +304,7 @@ def test_failure_leaves_the_image(prestressed):
 
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, np.nan])
 def test_bad_tolerance(tolerance):
+    """A tolerance that is not positive is refused by prestress and unload."""
     scan = Scan(prestressed=True)
     message = "tolerance is .*: give a positive share of the diameter"
     with raises(ValueError, message):
@@ -312,7 +314,7 @@ def test_bad_tolerance(tolerance):
 
 
 def identity(mesh: dolfinx.mesh.Mesh, *element: object) -> dolfinx.fem.Function:
-    """Return the identity, or the beginning of its entries, as a function of an element."""
+    """Return the identity, or its first entries, as a Function of an element."""
     G = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
     G.x.array[:] = np.resize(np.eye(3).ravel(), len(G.x.array))
     return G
@@ -336,12 +338,14 @@ WRONG_G = {
 
 @each(("create", "error", "message"), WRONG_G)
 def test_bad_prestress(create, error, message):
+    """``prestress`` refuses a G that is not a tensor field of the forms."""
     scan = Scan(prestressed=True)
     with raises(error, message):
         scan.find(1.0, G=create(scan.mesh))
 
 
 def test_first_guess_of_a_prestress_is_the_identity():
+    """Prestress begins with G = I."""
     scan = Scan(prestressed=True)
     scan.G.x.array[:] = 0.0
     with raises(ValueError, "det G = 0 somewhere: let G be the identity at first"):
@@ -350,7 +354,7 @@ def test_first_guess_of_a_prestress_is_the_identity():
 
 @pytest.mark.parametrize("path", [prestress, unload])
 def test_a_scan_has_the_arguments_of_a_path(path):
-    """By name and with the same defaults, so that help() shows them."""
+    """``prestress`` and ``unload`` show the arguments of follow_load, with equal defaults."""
     given = inspect.signature(path).parameters
     for name, parameter in inspect.signature(follow_load).parameters.items():
         default = given[name].default

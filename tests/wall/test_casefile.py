@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Cases in TOML files: what they say, units, and what is refused in one line."""
+"""Cases in TOML files: their contents, units, and errors of one line."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CLAMP = '[surfaces.opening_1]\nhold = "clamp"\n'
 
 @pytest.fixture
 def read(tmp_path):
-    """Read a case from a text."""
+    """Return a function that reads a case from a text."""
 
     def case(text):
         path = tmp_path / "wall.toml"
@@ -47,6 +47,7 @@ def read(tmp_path):
 
 
 def test_the_example():
+    """The example case has the values of its file."""
     case = read_case(DEMOS / "wall.toml", COMM)
     agree(case.mesh == "tube" and case.scale == 1.0)
     agree(case.prestretch == 1.0 and case.prestretch_axis is None)
@@ -63,7 +64,7 @@ def test_the_example():
 
 
 def test_the_documents_examples(read):
-    """The first is the demos' own, the second a wall of one layer."""
+    """The examples of docs/cases.md are valid, and the first is part of the demo's file."""
     page = (ROOT / "docs/cases.md").read_text(encoding="utf-8")
     first, second, _ = re.findall(r"^```toml\n(.*?)^```", page, re.M | re.S)
     agree(first in (DEMOS / "wall.toml").read_text(encoding="utf-8"))
@@ -72,7 +73,7 @@ def test_the_documents_examples(read):
 
 
 def test_units(read):
-    """Values with and without a unit are read."""
+    """Values may have units or none."""
     case = read(
         LEAST.replace("= 3.0", '= "3 Pa"').replace("= 1.0", '= "2 kPa"')
         + '[surfaces.outer]\nspring = "4 kPa/cm"\ndashpot = "5e6 Pa s/m"\npressure = "1 kPa"\n'
@@ -96,7 +97,7 @@ VESSELS = '[cavity.lumen.windkessel]\nresistance = "2 mmHg s/ml"\ncompliance = "
 
 
 def test_cavities(read):
-    """A volume or a Windkessel, in any unit, of a wall whose ends are held."""
+    """A cavity has a volume or a Windkessel, in any unit; an open one needs its axis."""
     wall = read_wall(EXAMPLE, COMM)
     u = dolfinx.fem.Function(dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 1, (3,))))
     case = read(f'{CAVITY}volume = "2 ml"\n{CLAMP}')
@@ -163,7 +164,7 @@ CAVITIES = [
     ],
 )
 def test_what_is_refused(read, old, new, match):
-    """The message names the file, the table, the key, its value and the remedy."""
+    """A bad value is an error with file, table, key, value and remedy."""
     agree(old in LEAST)
     with raises(ValueError, f"wall.toml.*{match}"):
         read(LEAST.replace(old, new, 1))
@@ -178,6 +179,7 @@ def test_what_is_refused(read, old, new, match):
     ],
 )
 def test_what_does_not_fit_the_wall(read, more, match):
+    """A case is refused if its surfaces, cavities or layers are not those of the wall."""
     wall = read_wall(EXAMPLE, COMM)
     read(LEAST + CLAMP).check(wall)
     with raises(ValueError, match):

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Conditions on surfaces: what they hold, their potentials, and what is refused."""
+"""Conditions on surfaces: the dofs they prescribe, their potentials, and bad arguments."""
 
 from __future__ import annotations
 
@@ -39,6 +39,7 @@ def wall(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def quarter(tmp_path_factory):
+    """A quarter of a tube."""
     return tube_wall(tmp_path_factory.mktemp("quarter"), length=LENGTH, size=0.5, quarter=True)
 
 
@@ -51,6 +52,7 @@ def displacement(wall, degree=1):
 
 
 def translate(u, by):
+    """Set u to one vector everywhere."""
     u.interpolate(lambda x: np.outer(by, np.ones_like(x[0])))
 
 
@@ -58,7 +60,7 @@ def translate(u, by):
 
 
 def held(boundary, u):
-    """Mark the values of u that a condition holds, (nodes, 3)."""
+    """Return True for each value of u that a condition prescribes, (nodes, 3)."""
     mask = np.zeros(len(u.x.array), dtype=bool)
     for bc in boundary.bcs:
         mask[bc.dof_indices()[0]] = True
@@ -66,6 +68,7 @@ def held(boundary, u):
 
 
 def test_clamps_and_slides_hold_their_nodes(quarter):
+    """Clamps fix all components on their surface, and slides the normal one."""
     u = displacement(quarter, 2)
     boundary = apply_conditions(
         quarter, u, {"opening_1": Clamp(), "opening_2": Slide(), "symmetry_x": [Slide()]}
@@ -79,7 +82,7 @@ def test_clamps_and_slides_hold_their_nodes(quarter):
 
 
 def test_stretch_moves_ends(quarter):
-    """(λ − 1) z on both ends, clamped or sliding; nothing else of what is held moves."""
+    """A prestretch prescribes (λ − 1) z on the ends, and zero elsewhere."""
     u = displacement(quarter, 2)
     conditions = {"opening_1": Clamp(), "opening_2": Slide(), "symmetry_x": Slide()}
     for first, second in (("opening_1", "opening_2"), ("opening_2", "opening_1")):
@@ -100,9 +103,9 @@ def test_stretch_moves_ends(quarter):
 
 
 def test_energy_of_springs_and_dashpots(wall):
-    """A translation by d in a time step Δt: k/2 A |d|² on all, η/(2 Δt) A d_z² on a plane end.
+    """A translation by d stores k/2 A |d|² in springs, and η/(2 Δt) A d_z² in dashpots.
 
-    Dashpots have no energy in an infinite time step, nor where u is what it was.
+    Dashpots have no energy with an infinite time step, nor if u has not changed.
     """
     u = displacement(wall)
     d = np.array([0.1, -0.2, 0.3])
@@ -126,7 +129,7 @@ def test_energy_of_springs_and_dashpots(wall):
 
 
 def test_pressure_has_a_potential_where_its_rims_are_held(wall, quarter):
-    """Clamped rims, or rims that slide along an axis; not free ones, nor ends on springs."""
+    """The pressure has a potential if its rims are clamped or slide along an axis, or else none."""
     inside = {"lumen": Pressure()}
     whole = displacement(wall)
     part = displacement(quarter)
@@ -145,7 +148,7 @@ def test_pressure_has_a_potential_where_its_rims_are_held(wall, quarter):
 
 
 def test_tangent_follows_from_the_rim_where_there_is_no_potential(tmp_path):
-    """Planes of two normals off the origin: −p V fits neither, but the tangent is symmetric."""
+    """Rims in two planes off the origin have no potential −p V, but a symmetric tangent."""
     wall = tube_wall(tmp_path, length=LENGTH, size=0.5, quarter=True)
     wall.mesh.geometry.x[:, :2] += (1.0, 2.0)
     u, d, w = (displacement(wall) for _ in range(3))
@@ -160,7 +163,7 @@ def test_tangent_follows_from_the_rim_where_there_is_no_potential(tmp_path):
 
 
 def test_shares_of_the_pressure(wall):
-    """The residual of a share is that share of the residual, and the outer one pushes back."""
+    """The residual of a pressure is proportional to its share."""
     u = displacement(wall)
     v = displacement(wall)
     translate(v, [0.0, 0.0, 1.0])
@@ -178,7 +181,7 @@ def test_shares_of_the_pressure(wall):
 
 @dataclass(frozen=True, slots=True)
 class Tether(Condition):
-    """Springs along the axis z, as an energy or as a force without one."""
+    """Springs along z, given by an energy or by a residual alone."""
 
     stiffness: float
     has_potential: bool
@@ -193,7 +196,7 @@ class Tether(Condition):
 
 @pytest.mark.parametrize("has_potential", [True, False])
 def test_condition_of_another_kind(wall, has_potential):
-    """Residual and tangent follow from the energy, or from a residual; then there is no energy."""
+    """A user's condition may have an energy or a residual; residual and tangent are derived."""
     u = displacement(wall)
     d = displacement(wall)
     translate(u, [0.1, -0.2, 0.3])
@@ -224,6 +227,7 @@ def test_condition_of_another_kind(wall, has_potential):
     ],
 )
 def test_bad_conditions(wall, conditions, match):
+    """Unknown surfaces, conflicting conditions and wrong types are refused with a remedy."""
     with raises(ValueError, match):
         apply_conditions(wall, displacement(wall), conditions)
 
@@ -239,5 +243,6 @@ def test_bad_conditions(wall, conditions, match):
     ],
 )
 def test_bad_stretch(wall, axis, stretch, match):
+    """A prestretch without an axis, or that is not positive, is refused."""
     with raises(ValueError, match):
         apply_conditions(wall, displacement(wall), ENDS, axis=axis).set_stretch(stretch)

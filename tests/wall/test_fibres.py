@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Fibre directions: those of a tube, the same on any number of processes, guarded."""
+"""Fibre directions are those of a tube, and equal on any number of processes."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ def vectors(f):
 
 
 def directions(frame):
-    """Circumferential, longitudinal and transmural direction of the local cells, (cells, 3)."""
+    """Return the circumferential, longitudinal and transmural directions of cells, (cells, 3)."""
     return [vectors(f) for f in (frame.circumferential, frame.longitudinal, frame.transmural)]
 
 
 def cylindrical(wall):
-    """e_θ, e_z, e_r at the centroids."""
+    """Return e_θ, e_z, e_r at the centroids."""
     r = centroids(wall) * [1, 1, 0]
     r /= np.linalg.norm(r, axis=1, keepdims=True)
     z = np.tile([0.0, 0.0, 1.0], (len(r), 1))
@@ -64,7 +64,7 @@ def cylindrical(wall):
 
 
 def degrees(a, b):
-    """Angles between unit vectors."""
+    """Return the angles between unit vectors [°]."""
     sine = np.linalg.norm(np.cross(a, b), axis=1)
     cosine = np.sum(a * b, axis=1)
     return np.degrees(np.arctan2(sine, cosine))
@@ -75,7 +75,7 @@ def worst(angles):
 
 
 def by_number(wall, values):
-    """Values of all cells in the order of the file, on every process."""
+    """Return values of all cells in the order of the file, on every process."""
     index = wall.mesh.topology.index_map(3)
     n = index.size_local
     comm = wall.mesh.comm
@@ -93,7 +93,7 @@ def is_frame(frame):
 
 @pytest.mark.parametrize("scale", [1e-3, 1e-9, 1e6])
 def test_nothing_depends_on_the_unit_of_length(tmp_path, scale):
-    """Directions are the same for a wall in metres and in millimetres."""
+    """The frame of a wall is the same in metres and in millimetres."""
     path = tmp_path / "wall.msh"
     mesh = on_first(lambda: read_wall_arrays(EXAMPLE))
     on_first(lambda: write_msh(path, replace(mesh, points=scale * mesh.points)))
@@ -110,7 +110,7 @@ def test_nothing_depends_on_the_unit_of_length(tmp_path, scale):
 
 
 def test_surfaces_by_other_names(tmp_path):
-    """The frame of the same wall, and the angles of its one layer."""
+    """Surfaces of other names may be passed, with the same frame as a result."""
     wall = read_wall(EXAMPLE, COMM)
     names = dict(zip(("inside", "outside", "below", "above"), wall.surfaces.values(), strict=True))
     other = replace(wall, surfaces=names)
@@ -130,7 +130,7 @@ def test_surfaces_by_other_names(tmp_path):
 
 @pytest.mark.parametrize("quarter", [False, True])
 def test_tube(tmp_path, quarter):
-    """ê₀ = e_θ, ê₁ = e_z, ê₂ = e_r, up to the angle of the polygon: finer ones are truer."""
+    """In a tube the frame is e_θ, e_z, e_r, up to the angle of its polygon."""
     errors = []
     for around in (12, 24, 48):
         counts = {"around": around // 4 if quarter else around, "along": 3, "through": (1, 1)}
@@ -145,7 +145,7 @@ def test_tube(tmp_path, quarter):
 
 
 def test_slivers(tmp_path):
-    """On flat cells CG fails, and MUMPS solves: z is exact up to rounding in the flat cells."""
+    """On flat cells, where CG fails, MUMPS solves the Laplace problems to rounding."""
     wall = tube_wall(tmp_path, size=0.2, length=1.0)
     z = wall.mesh.geometry.x[:, 2]
     step = np.diff(np.unique(np.round(whole(z), 9)))[0]
@@ -167,7 +167,7 @@ def test_slivers(tmp_path):
 
 @pytest.mark.parametrize("angles", [None, {"media": 0.0, "adventitia": 90.0}])
 def test_families_have_their_angles(tmp_path, angles):
-    """±α from ê₀ in the plane of ê₀ and ê₁, with a jump at the interface."""
+    """Fibres have ±α from ê₀ in the plane of ê₀ and ê₁, with a jump at the interface."""
     wall = tube_wall(tmp_path, size=0.26, length=0.6)
     frame = fibre_frame(wall)
     e0, e1, e2 = directions(frame)
@@ -192,7 +192,7 @@ def test_families_have_their_angles(tmp_path, angles):
 
 
 def test_inlet_may_be_chosen(tmp_path):
-    """The other end as inlet turns the longitudinal and the circumferential direction round."""
+    """The other end as inlet reverses the longitudinal and circumferential directions."""
     wall = tube_wall(tmp_path, size=0.4, length=1.0)
     forth = directions(fibre_frame(wall, inlet="opening_1"))
     back = directions(fibre_frame(wall, inlet="opening_2"))
@@ -206,7 +206,7 @@ def test_inlet_may_be_chosen(tmp_path):
 
 @pytest.mark.parametrize("wide", ["opening_1", "opening_2"])
 def test_inlet_is_the_widest_opening(tmp_path, wide):
-    """It is the wide end of a cone, at either end."""
+    """The default inlet is the widest opening, at either end of a cone."""
 
     def make():
         write_tube(tmp_path / "t.msh", size=0.4, length=1.0)
@@ -227,14 +227,14 @@ def test_inlet_is_the_widest_opening(tmp_path, wide):
 
 @pytest.fixture(scope="module")
 def vessel(tmp_path_factory):
-    """File of a coarse vessel."""
+    """The file of a coarse vessel."""
     path = on_first(lambda: tmp_path_factory.mktemp("vessel") / "vessel.msh")
     on_first(lambda: write_vessel(path, size=2.4))
     return path
 
 
 def test_the_same_on_one_process(vessel):
-    """Each process computes the frame of the whole wall alone, too."""
+    """The frame is the same on one process and on several."""
     alone = read_wall(vessel, MPI.COMM_SELF)
     common = read_wall(vessel, COMM)
     frames = fibre_frame(alone), fibre_frame(common)
@@ -247,9 +247,9 @@ def test_the_same_on_one_process(vessel):
 
 
 def test_vessel_points_outwards(vessel):
-    """ê₂ leaves through the outer wall; ê₁ comes in at the inlet and leaves at the others.
+    """In a vessel ê₂ leaves through the outer wall, and ê₁ leads from the inlet to the outlets.
 
-    Nowhere at less than 12° to the surface, and at more than 64° on the most of it.
+    The angle of ê₂ to the outer surface is nowhere below 12°, and above 64° on most of it.
     """
     wall = read_wall(vessel, COMM)
     frame = fibre_frame(wall)
@@ -310,6 +310,7 @@ def test_weak_gradients_take_their_neighbours_direction(tmp_path):
 
 
 def test_no_direction_anywhere(tmp_path):
+    """If all gradients vanish, the error says that cells have no direction."""
     wall = tube_wall(tmp_path, size=0.4, length=0.4)
     n = len(centroids(wall))
     with raises(ArithmeticError, "cells of the wall have no direction"):
@@ -320,7 +321,7 @@ def test_no_direction_anywhere(tmp_path):
 
 
 def test_the_readmes_gmsh_example(tmp_path, monkeypatch):
-    """README.md's code makes a wall that goes all the way."""
+    """The Gmsh example of README.md creates a wall that can be solved."""
     pytest.importorskip("gmsh")
     readme = (ROOT / "meshes/README.md").read_text(encoding="utf-8")
     code = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)[0]
@@ -339,6 +340,7 @@ def test_the_readmes_gmsh_example(tmp_path, monkeypatch):
 
 
 def test_unsolved_laplace_problem(tmp_path):
+    """A Laplace problem that does not converge is an error with its reason and option."""
     wall = tube_wall(tmp_path, size=0.4, length=0.4)
     options = {"ksp_type": "cg", "pc_type": "none", "ksp_max_it": 1}
     with (

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Opening angles on a wall: the tube, whose radii are known, also after it has moved."""
+"""Opening angles on a wall: a tube of known radii, also after its mesh has moved."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ ANGLES = {"media": 120.0, "adventitia": 60.0}
 
 @pytest.fixture(scope="module")
 def wall() -> Wall:
+    """A tube of two layers."""
     return read_wall(EXAMPLE, COMM)
 
 
 def test_stretch_around_is_that_of_a_tube():
-    """It grows through each layer. Of a quarter, in cells at the planes of symmetry, too."""
+    """The circumferential stretch grows through each layer as in a tube, also in a quarter."""
     shape = {"length": 0.18, "size": 0.18, "around": 4, "along": 1, "through": (3, 1)}
     wall = create_brick_tube(COMM, quarter=True, **shape)
     opening = OpeningAngles(wall, ANGLES, {"media": 1.1, "adventitia": 1.0})
@@ -44,7 +45,7 @@ def test_stretch_around_is_that_of_a_tube():
 
 
 def test_moved_and_closed(wall):
-    """Curvatures go with the size of the wall; G keeps volumes, and is I without an angle."""
+    """Curvatures scale with the wall; det G = 1, and G = I without an angle."""
     opening = OpeningAngles(wall, ANGLES)
     x = wall.mesh.geometry.x
     n = wall.mesh.topology.index_map(3).size_local
@@ -61,6 +62,7 @@ def test_moved_and_closed(wall):
 
 
 def test_bad_input(wall):
+    """Angles of 360°, missing layers and stretches of zero are refused."""
     with raises(ValueError, "angle = 360"):
         OpeningAngles(wall, {"media": 360.0, "adventitia": 0.0})
     with raises(ValueError, "values are given for media"):

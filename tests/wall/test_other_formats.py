@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Files that no wall is read from as they are: each message has the line that converts."""
+"""Files in formats that cannot be read are refused with a command that converts them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TRIANGLES = np.array([[0, 1, 2]])
 
 
 def converted(message: str, folder) -> None:
-    """Run the line of a message, which writes wall.vtu, in a folder."""
+    """Run the command of a message, which writes wall.vtu, in a folder."""
     meshio = pytest.importorskip("meshio")
     line = message[message.index('m = meshio.read("') :]
     line = re.split(r"; then read_wall", line)[0].replace('"wall.vtu"', f'"{folder}/wall.vtu"')
@@ -40,7 +40,7 @@ def refused(path) -> str:
 @pytest.mark.parametrize("text", ["nonsense", ""])
 @pytest.mark.parametrize("name", ["wall.unknown", "wall.vtu", "wall.med"])
 def test_what_meshio_ends_at(name, text, tmp_path):
-    """It prints its reason and exits: the message has the reason, and no bare 1."""
+    """If meshio exits, the error has the reason that it printed."""
     pytest.importorskip("meshio")
     path = COMM.bcast(tmp_path) / name
     on_root(lambda: path.write_text(text), COMM)
@@ -50,6 +50,7 @@ def test_what_meshio_ends_at(name, text, tmp_path):
 
 
 def test_cells_of_second_order(tmp_path):
+    """Second-order cells are refused, and the message's command converts them."""
     meshio = pytest.importorskip("meshio")
     path = COMM.bcast(tmp_path) / "second.vtu"
 
@@ -75,6 +76,7 @@ def test_cells_of_second_order(tmp_path):
 
 
 def test_sets_of_abaqus(tmp_path):
+    """Sets of Abaqus are refused, and the message's command converts them to tags."""
     meshio = pytest.importorskip("meshio")
     path = COMM.bcast(tmp_path) / "sets.inp"
 

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Walls in XDMF: what is written is read, and each process reads and holds its share alone."""
+"""Walls in XDMF: reading restores what was written, and each process reads only its share."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ EXAMPLE = ROOT / "meshes/example.msh"
 
 
 def volumes(wall):
-    """Volume of each layer [mm³]."""
+    """Return the volume of each layer [mm³]."""
     dx = ufl.Measure("dx", wall.mesh, subdomain_data=wall.cell_tags)
     one = dolfinx.fem.Constant(wall.mesh, 1.0)
     return {name: scalar(one * dx(tag)) for name, tag in wall.layers.items()}
@@ -55,7 +55,7 @@ def same(one, other):
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("tetrahedra", [True, False])
 def test_what_is_written_is_read(tmp_path, order, tetrahedra):
-    """Straight and curved tetrahedra and hexahedra, their layers and surfaces."""
+    """Reading restores mesh, layers and surfaces, of straight and curved cells."""
     shape = {"length": 0.6, "size": 0.3, "order": order, "tetrahedra": tetrahedra}
     wall = create_brick_tube(COMM, **shape)
     called = wall.mesh.name, wall.cell_tags.name, wall.facet_tags.name
@@ -68,7 +68,7 @@ def test_what_is_written_is_read(tmp_path, order, tetrahedra):
 
 
 def test_parts_are_those_that_were_written(tmp_path):
-    """As many processes as wrote a file have its parts again, however uneven they are."""
+    """On as many processes as wrote a file, each process reads its own part again."""
     path = COMM.bcast(tmp_path / "tube.xdmf")
     keep = xdmf._partitioner_of_file
     wall = create_brick_tube(COMM, length=0.6, size=0.15, order=1, tetrahedra=True)
@@ -89,7 +89,7 @@ def test_parts_are_those_that_were_written(tmp_path):
 
 @pytest.mark.parametrize("given", ["one alone", "not all"])
 def test_tags_are_those_that_were_written(tmp_path, given):
-    """This also holds for a wall of one layer, and for cells without a tag."""
+    """Tags are restored, with one layer and with cells without a tag too."""
     wall = create_brick_tube(COMM, length=0.6, size=0.15, order=1, tetrahedra=True)
     tags = wall.cell_tags
     mesh = wall.mesh
@@ -108,7 +108,7 @@ def test_tags_are_those_that_were_written(tmp_path, given):
 
 
 def test_others_partition_anew(tmp_path):
-    """One process reads what several have written, the other way round, and without any parts."""
+    """Files may be read on another number of processes than wrote them."""
     path = COMM.bcast(tmp_path / "tube.xdmf")
     wall = create_brick_tube(COMM, length=0.6, size=0.3, order=1, tetrahedra=True)
     write_wall(path, wall)
@@ -126,7 +126,7 @@ def test_others_partition_anew(tmp_path):
 
 
 def test_generated_walls_are_read_by_all(tmp_path):
-    """Their quality does not depend on the number of processes."""
+    """The quality of generated walls does not depend on the number of processes."""
     folder = COMM.bcast(tmp_path)
     wall, quality = open_wall("tube", COMM, size=0.4, folder=folder)
     agree((folder / "tube_0.4.xdmf").is_file() and (folder / "tube_0.4.h5").is_file())
@@ -137,7 +137,7 @@ def test_generated_walls_are_read_by_all(tmp_path):
 
 
 def test_generated_wall_is_kept_as_long_as_its_generator(tmp_path, monkeypatch):
-    """It is generated anew for another size of elements, by other code, or if a file is lost."""
+    """A generated wall is reused until size, code or a file changes."""
     folder = COMM.bcast(tmp_path)
     made = []
 
@@ -162,27 +162,27 @@ def test_generated_wall_is_kept_as_long_as_its_generator(tmp_path, monkeypatch):
 
 
 def test_wrong_ending():
+    """Another file ending than .xdmf is refused."""
     with raises(ValueError, "path='wall.h5': give a name that ends in .xdmf"):
         write_wall("wall.h5", read_wall(EXAMPLE, COMM))
 
 
 def status(name: str) -> float:
-    """A line of the process's status [bytes]."""
+    """Return a value of the process's status [bytes]."""
     return 1024.0 * int(re.search(rf"{name}:\s+(\d+)", Path("/proc/self/status").read_text())[1])
 
 
 def read_so_far() -> int:
-    """Bytes that this process has read."""
+    """Return the number of bytes that this process has read."""
     return int(re.search(r"rchar: (\d+)", Path("/proc/self/io").read_text())[1])
 
 
 @pytest.mark.skipif(not Path("/proc/self/io").exists(), reason="counted by Linux")
 def test_no_process_holds_the_whole_wall(tmp_path):
-    """On P processes each reads a P-th of the file; its memory is in proportion, too.
+    """Of P processes each reads a P-th of the file, and needs memory in proportion.
 
-    The points of the layers are read twice: first to see that they are there.
-
-    What reading takes beyond the bytes read is measured: six times as much at its peak.
+    The points of the layers are read twice, first to check that they exist. The peak of memory is
+    six times the bytes read, as measured.
     """
     path = COMM.bcast(tmp_path / "tube.xdmf")
     small_one = path.with_name("small.xdmf")

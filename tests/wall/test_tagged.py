@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Walls of meshes and their tags, of Gmsh's and of dolfinx's; conditions on them."""
+"""Walls from meshes with tags of Gmsh or dolfinx, and conditions on them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ NAMES = {"end": (2, 4), "below": (2, 0), "left": (3, 7), "right": (3, 8)}
 
 
 def box(cell=CELLS[0]):
-    """A mesh with two layers, 7 and 8, and the surfaces 4 (x = 0), 5 (x = 2) and 0 (z = 0)."""
+    """Return a mesh with the layers 7 and 8, and the surfaces 4 (x = 0), 5 (x = 2), 0 (z = 0)."""
     mesh = dolfinx.mesh.create_box(COMM, [np.zeros(3), SIZES], (4, 2, 2), cell)
     cells = mesh.topology.index_map(3)
     n = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
@@ -56,7 +56,7 @@ def box(cell=CELLS[0]):
 
 @pytest.mark.parametrize("cell", CELLS)
 def test_names_by_hand(cell):
-    """What has no name is called by its number; names that nothing has are left out."""
+    """Tags without a name are named by their number, and names without a tag are omitted."""
     wall = create_wall(*box(cell), NAMES | {"nothing": (2, 9), "edge": (1, 4)})
     agree(wall.layers == {"left": 7, "right": 8}, wall.layers)
     agree(wall.surfaces == {"end": 4, "below": 0, "surface_5": 5}, wall.surfaces)
@@ -67,7 +67,7 @@ def test_names_by_hand(cell):
 
 @pytest.mark.parametrize("cell", CELLS)
 def test_without_layers_and_names(cell):
-    """Without names the facets tagged 0 are not a surface."""
+    """Without names, facets tagged 0 are not a surface."""
     mesh, _, facet_tags = box(cell)
     wall = create_wall(mesh, None, facet_tags)
     agree((wall.layers, wall.surfaces) == ({"wall": 1}, {"surface_4": 4, "surface_5": 5}))
@@ -75,7 +75,7 @@ def test_without_layers_and_names(cell):
 
 @pytest.mark.parametrize("cell", CELLS)
 def test_body_under_pressure(cell):
-    """Clamped at one end, sliding below, pressure and springs at the other: as in plain dolfinx."""
+    """A wall from tags, under pressure and on springs, has plain dolfinx's solution."""
     wall = create_wall(*box(cell), NAMES)
     V = dolfinx.fem.functionspace(wall.mesh, ("Lagrange", 1, (3,)))
     u = ufl.TrialFunction(V)
@@ -100,7 +100,7 @@ def test_body_under_pressure(cell):
 
 
 def test_names_of_physical_groups():
-    """Of a cube, two of whose faces have no name; the first process alone has the model."""
+    """Physical groups of a Gmsh model give layers and surfaces their names, or their numbers."""
     gmsh = pytest.importorskip("gmsh")
     try:
         from dolfinx.io import gmshio
@@ -133,7 +133,7 @@ def test_names_of_physical_groups():
 
 
 def test_the_lines_of_the_page(tmp_path, monkeypatch):
-    """docs/walls.md, from a model to a wall that is solved."""
+    """The code of docs/walls.md leads from a Gmsh model to a solved wall."""
     pytest.importorskip("gmsh")
     monkeypatch.chdir(tmp_path)
     (code,) = programs("A wall from a Gmsh model", "docs/walls.md")
@@ -227,12 +227,13 @@ WRONG = {
 
 @each(("arguments", "error", "message"), WRONG)
 def test_wrong_arguments(arguments, error, message):
+    """Meshes, tags and names that do not fit together are refused."""
     with raises(error, message):
         create_wall(*arguments(TaggedBox()))
 
 
 def test_loads_inside_the_wall():
-    """Where ``ds`` integrates nothing: an error, and no load that is silently zero."""
+    """A pressure or spring on an inner surface is an error, as ``ds`` would integrate nothing."""
     mesh, cell_tags, _ = box()
     middle = np.sort(dolfinx.mesh.locate_entities(mesh, 2, lambda x: np.isclose(x[0], 1.0)))
     tags = dolfinx.mesh.meshtags(mesh, 2, middle, np.ones_like(middle))
@@ -245,6 +246,7 @@ def test_loads_inside_the_wall():
 
 
 def test_conditions_need_a_wall_and_a_displacement():
+    """Conditions refuse what is not a Wall, and a u that is not a vector on its mesh."""
     mesh, *tags = box()
     wall = create_wall(mesh, *tags, NAMES)
     vectors = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))

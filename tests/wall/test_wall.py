@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Walls from files: tags on any number of processes, formats, and clear errors on all of them."""
+"""Walls from files: equal tags on any number of processes, formats, and clear errors."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def raw():
 
 
 def read_changed(tmp_path, arrays, names=None):
-    """Write a wall, with other names of layers and surfaces if they are given, and read it back."""
+    """Write changed arrays, perhaps with other names of groups, as a wall, and read it."""
     if names is not None:
         arrays = replace(arrays, layer_names=names, surface_names=names)
     on_first(lambda: write_msh(tmp_path / "wall.msh", arrays))
@@ -59,6 +59,7 @@ def read_changed(tmp_path, arrays, names=None):
 
 
 def test_every_cell_has_its_layer(wall):
+    """Each cell has the tag of the layer at its radius."""
     tags = wall.cell_tags
     n = wall.mesh.topology.index_map(3).size_local
     mine = tags.values[tags.indices < n]
@@ -70,6 +71,7 @@ def test_every_cell_has_its_layer(wall):
 
 
 def test_every_exterior_facet_has_its_surface(wall):
+    """Each exterior facet has the tag of the surface at its position."""
     wall.mesh.topology.create_connectivity(2, 3)
     exterior = dolfinx.mesh.exterior_facet_indices(wall.mesh.topology)
     tagged = wall.facet_tags.indices
@@ -89,7 +91,7 @@ def test_every_exterior_facet_has_its_surface(wall):
 
 @pytest.mark.parametrize(("step", "is_plane"), [(1e-8, True), (1e-5, False)])
 def test_plane_up_to_rounding_of_single_precision(step, is_plane):
-    """A step of the opening, in mm; the wall has an extent of some 3 mm."""
+    """An opening counts as plane up to single-precision rounding of its points."""
     stepped = read_wall(EXAMPLE, COMM)
     x = stepped.mesh.geometry.x
     x[np.isclose(x[:, 2], 0.0) & (x[:, 0] > 0.0), 2] += step
@@ -103,6 +105,7 @@ def test_plane_up_to_rounding_of_single_precision(step, is_plane):
 
 
 def test_names(wall):
+    """The example has its layers and surfaces under their names."""
     agree(wall.layers == {"media": 1, "adventitia": 2} and len(wall.names) == 6)
     agree(wall.names == {name: GROUPS[name][1] for name in wall.names})
     with raises(ValueError, "no surface 'lume'; it has lumen, outer"):
@@ -110,12 +113,14 @@ def test_names(wall):
 
 
 def test_openings_are_sorted_by_number(wall):
+    """Openings are sorted by their number, not as text."""
     names = ["opening_10", "opening_2", "lumen", "opening_1", "opening_arch"]
     other = replace(wall, surfaces={name: k for k, name in enumerate(names)})
     agree(openings(other) == ["opening_1", "opening_2", "opening_10", "opening_arch"])
 
 
 def test_values_by_layer(wall):
+    """``by_layer`` sets one value for each layer, and requires all layers."""
     f = by_layer(wall, {"media": 3.0, "adventitia": 0.3})
     r = np.linalg.norm(centroids(wall)[:, :2], axis=1)
     equal(f.x.array, np.where(r < RADII[1] * np.cos(ANGLE / 2), 3.0, 0.3))
@@ -124,6 +129,7 @@ def test_values_by_layer(wall):
 
 
 def test_scale(tmp_path, raw):
+    """``scale=`` converts lengths, and has to be positive."""
     on_first(lambda: write_msh(tmp_path / "m.msh", replace(raw, points=raw.points / 1000)))
     metres = read_wall(tmp_path / "m.msh", COMM, scale=1000)
     equal(area(metres, "lumen"), area(read_wall(EXAMPLE, COMM), "lumen"), 1e-9)
@@ -137,7 +143,7 @@ def test_scale(tmp_path, raw):
 
 @pytest.mark.parametrize("suffix", ["vtu", "xdmf", "vtk"])
 def test_the_readmes_meshio_example(tmp_path, monkeypatch, wall, raw, suffix):
-    """README.md's code, with the example's arrays in place of the dots."""
+    """The meshio example of README.md, with the example's arrays, writes the example's wall."""
     pytest.importorskip("meshio")
     readme = (ROOT / "meshes/README.md").read_text(encoding="utf-8")
     code = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)[1]
@@ -156,6 +162,7 @@ def test_the_readmes_meshio_example(tmp_path, monkeypatch, wall, raw, suffix):
 
 @pytest.mark.parametrize(("suffix", "name"), [("mesh", "medit:ref"), ("vtu", "tag")])
 def test_one_number_for_cells_and_triangles(tmp_path, wall, raw, suffix, name):
+    """Names tell apart cells and triangles with one number, from formats with one kind of tag."""
     meshio = pytest.importorskip("meshio")
     path = tmp_path / f"wall.{suffix}"
     cells = [("tetra", raw.cells), ("triangle", raw.facets)]
@@ -167,7 +174,7 @@ def test_one_number_for_cells_and_triangles(tmp_path, wall, raw, suffix, name):
 
 
 def test_names_with_other_numbers(tmp_path, raw):
-    """Names count, and further surfaces may have names, too."""
+    """Layers and surfaces are identified by name, whatever their numbers."""
     names = {"media": 2, "adventitia": 1, "lumen": 4, "outer": 3, "opening_1": 11, "clamp": 12}
     other = read_changed(tmp_path, raw, names)
     agree(other.names == names)
@@ -176,7 +183,7 @@ def test_names_with_other_numbers(tmp_path, raw):
 
 @pytest.mark.parametrize("names", [{"wall": 1}, {"intima": 1, "media": 2, "fat": 21}])
 def test_any_number_of_layers(tmp_path, raw, names):
-    """By any names; surfaces, too, and none of them has to be there."""
+    """Layers and surfaces may have any number and names."""
     layers = np.array(list(names.values()))[np.arange(len(raw.cells)) % len(names)]
     inside = {"inside": SURFACE_TAGS["lumen"]}
     other = read_changed(tmp_path, replace(raw, cell_tags=layers), names | inside | {"unused": 99})
@@ -186,7 +193,7 @@ def test_any_number_of_layers(tmp_path, raw, names):
 
 
 def test_numbers_that_have_no_names(tmp_path, raw):
-    """They get no anatomy that the file does not have."""
+    """Groups without a name are named by their number, not by an anatomical name."""
     layers = np.where(raw.cell_tags == 1, 1, 7)
     surfaces = np.where(raw.facet_tags == 4, 400, raw.facet_tags)
     other = read_changed(tmp_path, replace(raw, cell_tags=layers, facet_tags=surfaces), {})
@@ -195,6 +202,7 @@ def test_numbers_that_have_no_names(tmp_path, raw):
 
 
 def test_loose_points_do_no_harm(tmp_path, wall, raw):
+    """Points without a cell are ignored."""
     points = np.vstack([[[9.0, 9, 9]], raw.points, [[8.0, 8, 8]]])
     moved = replace(raw, points=points, cells=raw.cells + 1, facets=raw.facets + 1)
     other = read_changed(tmp_path, moved)
@@ -204,7 +212,7 @@ def test_loose_points_do_no_harm(tmp_path, wall, raw):
 
 
 def test_gmsh_is_left_running(wall):
-    """A user's own session survives."""
+    """A user's own Gmsh session survives reading a file."""
     gmsh = pytest.importorskip("gmsh")
 
     def run():
@@ -222,7 +230,7 @@ def test_gmsh_is_left_running(wall):
 
 
 def write_quarter(path: Path, *, order: int, hexahedra: bool) -> Path:
-    """Mesh a quarter of a tube with Gmsh, with four cells around it."""
+    """Mesh a quarter tube with Gmsh, with four cells around."""
     gmsh = pytest.importorskip("gmsh")
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
@@ -261,7 +269,10 @@ def write_quarter(path: Path, *, order: int, hexahedra: bool) -> Path:
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("hexahedra", [False, True])
 def test_wall_of_gmsh(tmp_path, order, hexahedra):
-    """Chords miss a circle by (angle)²/6 of its area, parabolas by (angle)⁴/480."""
+    """Volumes and areas of Gmsh's walls are those of chords or parabolas.
+
+    Chords miss a circle by (angle)²/6 of its area, parabolas by (angle)⁴/480.
+    """
     pytest.importorskip("gmsh")
     path = COMM.bcast(tmp_path / "quarter.msh")
     on_first(lambda: str(write_quarter(path, order=order, hexahedra=hexahedra)))
@@ -295,7 +306,7 @@ def test_wall_of_gmsh(tmp_path, order, hexahedra):
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("hexahedra", [False, True])
 def test_quality_of_a_wall_of_gmsh(tmp_path, order, hexahedra):
-    """Number, quality and volume are those of the same cells with straight edges in Gmsh."""
+    """Cells, quality and volume are those that Gmsh measures with straight edges."""
     gmsh = pytest.importorskip("gmsh")
     path = COMM.bcast(tmp_path / "quarter.msh")
     on_first(lambda: str(write_quarter(path, order=order, hexahedra=hexahedra)))
@@ -326,6 +337,7 @@ def test_quality_of_a_wall_of_gmsh(tmp_path, order, hexahedra):
 
 @pytest.mark.parametrize(("package", "name"), [("gmsh", "wall.msh"), ("meshio", "wall.vtu")])
 def test_missing_package(tmp_path, monkeypatch, package, name):
+    """Without gmsh or meshio the error names the package and how to install it."""
     on_first(lambda: (tmp_path / name).write_text(""))
     monkeypatch.setitem(sys.modules, package, None)
     with raises(ModuleNotFoundError, f"package {package}, .*pip install {package}"):
@@ -334,7 +346,7 @@ def test_missing_package(tmp_path, monkeypatch, package, name):
 
 @pytest.mark.parametrize("name", BROKEN)
 def test_broken(tmp_path, name):
-    """The error names the file, in one line."""
+    """A broken file is an error of one line that names the file."""
     write, match = BROKEN[name]
     path = on_first(lambda: write(tmp_path))
     with pytest.raises((ValueError, OSError)) as caught:

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A wall of one layer, grown on an STL surface, supported or pulled, is in equilibrium."""
+"""A one-layer wall grown from an STL surface is in equilibrium on springs and when pulled."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ SPRINGS = {
 
 @pytest.fixture(scope="module")
 def wall(tmp_path_factory):
-    """A bent pipe of one layer, ends in the planes z = 0 and z = 10."""
+    """A bent one-layer pipe whose ends are in the planes z = 0 and z = 10."""
     path = tmp_path_factory.mktemp("surface") / "wall.msh"
 
     def make():
@@ -55,7 +55,7 @@ def wall(tmp_path_factory):
 
 
 class Body:
-    """The wall, P2–P0, with conditions."""
+    """The wall with P2–P0 elements and conditions."""
 
     def __init__(self, wall, conditions, axis=None):
         self.u, self.p = u, p = [
@@ -75,6 +75,7 @@ class Body:
         self.tangent = ufl.derivative(inside, u) + self.boundary.tangent
 
     def solve(self):
+        """Solve, and return the Newton steps."""
         problem = NonlinearProblem(
             [self.residual, self.rest],
             self.u,
@@ -99,7 +100,7 @@ class Body:
 
 
 def test_inflated_on_springs(wall):
-    """Nothing but springs holds it; dashpots hold it back in the first of two time steps."""
+    """A wall supported by springs alone is inflated to equilibrium, delayed by its dashpots."""
     agree(wall.layers == {"wall": 101} and area(wall, "opening_2") > 0.0)
     body = Body(wall, SPRINGS)
     u = body.u
@@ -118,7 +119,7 @@ def test_inflated_on_springs(wall):
 
 
 def test_pulled_and_inflated(wall):
-    """One end clamped, the other sliding, pulled to 1.1 times the length, then under pressure."""
+    """A wall clamped at one end, pulled to 1.1 times its length and inflated, is in equilibrium."""
     conditions = {"lumen": Pressure(), "opening_1": Clamp(), "opening_2": Slide()}
     body = Body(wall, conditions, axis="z")
     u = body.u
