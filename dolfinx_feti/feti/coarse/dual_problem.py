@@ -132,26 +132,16 @@ class DualCoarseProblem:
         self.has_exact_kernel = comm.allreduce(are_exact, op=MPI.LAND)
         self.MG: WeightedColumns | None = None
         with Lifetime() as owned:
-            E = block_columns(torn, [(motions.dofs, motions.E) for motions in self._motions])
-            self.G = owned.own(gluing.B.matMult(E))  # G = B E
-            E.destroy()
+            self.G = owned.own(self._product_with_motions(gluing.B))  # G = B E
             self.q = owned.own(_diagonal_weight(torn, preconditioner.B_D.matrix, weight))
             D = block_diagonal([of_subdomain.D for of_subdomain in modes if len(of_subdomain.D)])
             self.D = owned.own(distributed_block_diagonal(D, torn.A.comm))
             N = self._galerkin_matrix_of_diagonal()  # Gᵀ diag(q) G + D
             if weight == "preconditioner":
-                self.MG, G_MG = compute_weighted_columns(preconditioner, delta, inverse)
+                self.MG, N = _add_weighted_columns(N, preconditioner, delta, inverse)  # + Gᵀ M G
                 owned.own(self.MG)
-                # Gᵀ M G couples more subdomains than N: N is added to it, and not vice versa.
-                G_MG.axpy(1.0, N, structure=Structure.DIFFERENT_NONZERO_PATTERN)
-                N.destroy()
-                N = G_MG
             self.N = owned.own(N)
-            Z = read_null_space(torn)
-            Z_c = on_subdomains(lambda: self._amplitudes(Z), comm)
-            if not is_null_space(self.N, Z_c):
-                raise SetUpError(NULL_SPACE_RESISTED)
-            make_regular(self.N, Z_c)
+            self._make_regular_along_null_space()
             self.N.setOption(PETSc.Mat.Option.SYMMETRIC, True)
             self.solver = owned.own(
                 CoarseSolver(
@@ -165,6 +155,13 @@ class DualCoarseProblem:
             self._s, self._e = (owned.own(vector) for vector in self.N.createVecs())
             self._owned = owned.pop_all()
 
+    def _product_with_motions(self, B: PETSc.Mat) -> PETSc.Mat:
+        """Return B E, (m, N_c); the caller destroys it. Collective."""
+        E = block_columns(self._torn, [(motions.dofs, motions.E) for motions in self._motions])
+        G = B.matMult(E)
+        E.destroy()
+        return G
+
     def _galerkin_matrix_of_diagonal(self) -> PETSc.Mat:
         """Return Gᵀ diag(q) G + D, (N_c, N_c); the caller destroys it. Collective."""
         weighted = self.G.copy()
@@ -173,6 +170,18 @@ class DualCoarseProblem:
         weighted.destroy()
         N.axpy(1.0, self.D, structure=Structure.DIFFERENT_NONZERO_PATTERN)
         return N
+
+    def _make_regular_along_null_space(self) -> None:
+        """Make N regular along the null space Z of A that the user has given. Collective.
+
+        Raises:
+            SetUpError: Z is not in the span of E; on all processes.
+        """
+        Z = read_null_space(self._torn)
+        Z_c = on_subdomains(lambda: self._amplitudes(Z), self._torn.comm)
+        if not is_null_space(self.N, Z_c):
+            raise SetUpError(NULL_SPACE_RESISTED)
+        make_regular(self.N, Z_c)
 
     def solve(self, e: Array) -> Array:
         """Return N⁻¹ e, (n_c,) → (n_c,). Collective."""
@@ -214,6 +223,28 @@ class DualCoarseProblem:
     def destroy(self) -> None:
         """Free matrices and solver."""
         self._owned.close()
+
+
+def _add_weighted_columns(
+    N: PETSc.Mat, preconditioner: Preconditioner, delta: Array, inverse: GeneralizedInverse
+) -> tuple[WeightedColumns, PETSc.Mat]:
+    """Compute M G, and add Gᵀ M G to a coarse matrix. Collective.
+
+    Args:
+        N: Coarse matrix without M, (N_c, N_c), which is destroyed.
+        preconditioner: M, with B_D.
+        delta: Weight δ of every torn dof, (n,).
+        inverse: K⁺, with E of each subdomain.
+
+    Returns:
+        M G, and the sum N + Gᵀ M G, (N_c, N_c); the caller destroys both.
+    """
+    with Lifetime() as temporary:
+        temporary.own(N)
+        MG, G_MG = compute_weighted_columns(preconditioner, delta, inverse)
+        # Gᵀ M G couples more subdomains than N: N is added to it, and not vice versa.
+        G_MG.axpy(1.0, N, structure=Structure.DIFFERENT_NONZERO_PATTERN)
+    return MG, G_MG
 
 
 def _diagonal_weight(torn: Torn, B_D: PETSc.Mat, weight: str) -> PETSc.Vec:

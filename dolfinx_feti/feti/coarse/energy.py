@@ -139,7 +139,7 @@ def _split_by_energy(H: Array, tolerance: float) -> tuple[Array, Array]:
     θ, Q = np.linalg.eigh(symmetric_part(scale[:, None] * H * scale))
     has_energy = np.abs(θ) > tolerance
     if has_energy.all():
-        return np.diag(scale), H[:, :0]
+        return np.diag(scale), np.zeros((len(H), 0))
     B_i = scale[:, None] * Q[:, has_energy] / np.sqrt(np.abs(θ[has_energy]))
     # A column without energy has scale 0, and is a combination of zero energy as it is.
     nonzero_scale = np.where(scale > 0.0, scale, 1.0)

@@ -28,12 +28,7 @@ from dolfinx_feti.feti.coarse.energy import (
     independent_combinations,
 )
 from dolfinx_feti.feti.coarse.null_space import is_null_space, make_regular
-from dolfinx_feti.feti.coarse.products import (
-    StoredProducts,
-    amplifies_rounding,
-    compute_products,
-    interface_stiffness,
-)
+from dolfinx_feti.feti.coarse.products import StoredProducts, amplifies_rounding, compute_products
 from dolfinx_feti.feti.coarse.rounding import NEGATIVE_ENERGY_MARGIN, column_energy_rounding
 from dolfinx_feti.feti.coarse.solver import CoarseSolver
 from dolfinx_feti.feti.coarse.zero_energy import ZeroEnergyFields
@@ -153,10 +148,15 @@ def create_primal_coarse_problem(
     Raises:
         SetUpError: A product on a subdomain, or the factor of A₀, failed; on all processes.
     """
-    tolerances = energy_tolerances(interface_stiffness(V, S), V.copies.comm)
+    stiffness = np.abs(S.torn.diagonal()[V.copies.dofs])  # of each interface dof, (n_Γ,)
+    tolerances = energy_tolerances(stiffness, V.copies.comm)
     with Lifetime() as owned:  # destroyed if a later step fails
         products, energies = compute_products(
-            V, S, is_symmetric=is_symmetric, allow_single_precision=allow_single_precision
+            V,
+            S,
+            stiffness,
+            is_symmetric=is_symmetric,
+            allow_single_precision=allow_single_precision,
         )
         owned.own(products)  # Vᵀ A
         with Lifetime() as temporary:

@@ -81,14 +81,16 @@ class WeightedColumns:
         torn_s = self._dofmap.scatter_forward(s)
         t = np.zeros(self._M.operator.torn.n)
         t[self._copies.dofs] = concatenate(
-            [part.X @ torn_s[part.dofs] for part in self.by_subdomain]  # X s
+            [columns.X @ torn_s[columns.dofs] for columns in self.by_subdomain]  # X s
         )
         return self._M.B_D @ t  # B_D X s
 
     def multiply_transposed(self, r: Array) -> Array:
         """Return Gᵀ M r, (m,) → (n_c,). Collective."""
         w = (self._M.B_D.T @ r)[self._copies.dofs]  # w = B_Dᵀ r
-        torn_e = concatenate([part.X.T @ w[part.rows] for part in self.by_subdomain])  # Xᵀ w
+        torn_e = concatenate(
+            [columns.X.T @ w[columns.rows] for columns in self.by_subdomain]  # Xᵀ w
+        )
         return self._dofmap.scatter_reverse(torn_e)  # Σ C_iᵀ X_iᵀ w_i
 
     def destroy(self) -> None:

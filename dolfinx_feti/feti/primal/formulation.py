@@ -284,7 +284,7 @@ def create_primal_formulation(
     pattern: Pattern,
     operator: SchurOperator,
     preconditioner: PrimalPreconditioner,
-    within: Lifetime,
+    matrix_objects: Lifetime,
     vectors: DeflationVectors | None = None,
     *,
     max_ritz_vectors: int = 0,
@@ -295,7 +295,7 @@ def create_primal_formulation(
         pattern: Pattern of the matrix.
         operator: Schur complements S of the matrix, and K_II⁻¹.
         preconditioner: Preconditioner of the matrix or of an earlier one.
-        within: Owner of Vᵀ A_Γ and A₀.
+        matrix_objects: Owner of Vᵀ A_Γ and A₀, which destroys them.
         vectors: Ritz vectors of a solve with an earlier matrix; None for a first solve.
         max_ritz_vectors: Largest number of Ritz vectors that a solve returns for later matrices.
 
@@ -316,11 +316,11 @@ def create_primal_formulation(
             combinations=preconditioner.combinations,
             allow_single_precision=not preconditioner.is_reused,
         )
-        within.own(coarse)
+        matrix_objects.own(coarse)
         require_accurate_solver(coarse.A_0, coarse.solver, options)
         _require_no_mechanism(pattern, operator, preconditioner, coarse)
     if vectors is None:
-        vectors = _first_vectors(pattern, operator, preconditioner, coarse)
+        vectors = _soft_fields_if_softened(pattern, operator, preconditioner, coarse)
     deflation = create_deflation_space(coarse, operator, vectors, is_symmetric=pattern.is_symmetric)
     interior = sum_if_known(operator.count_negative_interior_eigenvalues, pattern.torn.comm)
     negative = coarse.negative_eigenvalues
@@ -362,7 +362,7 @@ def _require_no_mechanism(
     require_no_mechanism(torn, pattern.bodies, fields, is_semidefinite=is_semidefinite)
 
 
-def _first_vectors(
+def _soft_fields_if_softened(
     pattern: Pattern,
     operator: SchurOperator,
     preconditioner: PrimalPreconditioner,

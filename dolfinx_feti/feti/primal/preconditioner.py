@@ -66,16 +66,20 @@ class PrimalPreconditioner:
         return replace(self, is_reused=True, combinations=combinations)
 
 
-def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> PrimalPreconditioner:
+def create_preconditioner(
+    pattern: Pattern, setup: Setup, preconditioner_objects: Lifetime
+) -> PrimalPreconditioner:
     """Create the preconditioner of a symmetric matrix, with its coarse columns. Collective.
 
     Args:
         pattern: Pattern of the matrix, which is symmetric.
         setup: S, δ and K_ρ⁻¹ of the matrix.
-        within: Owner of the copies and columns.
+        preconditioner_objects: Owner of the copies and columns, which destroys them.
     """
     S = setup.operator
-    copies = within.own(Copies(pattern.torn, S.interfaces, setup.delta, pattern.errors))
+    copies = preconditioner_objects.own(
+        Copies(pattern.torn, S.interfaces, setup.delta, pattern.errors)
+    )
     with event("FETICoarse"):
         # The columns of every subdomain, (n_{Γ,i}, any number). Further ones join E here, so that
         # the adaptive columns leave out what they balance.
@@ -89,18 +93,19 @@ def create_preconditioner(pattern: Pattern, setup: Setup, within: Lifetime) -> P
             max_columns=pattern.options.coarse_adaptive,
         )
         U = [np.hstack(columns) for columns in zip(E, adaptive, strict=True)]
-        V = within.own(AveragedBasis(copies, U))
+        V = preconditioner_objects.own(AveragedBasis(copies, U))
     return PrimalPreconditioner(setup.delta, setup.inverse, setup.inertia, V)
 
 
 def create_symmetric_part_preconditioner(
-    pattern: Pattern, within: Lifetime
+    pattern: Pattern, preconditioner_objects: Lifetime
 ) -> PrimalPreconditioner:
     """Create the preconditioner of the current matrix from ½ (K + Kᵀ). Collective.
 
     Args:
         pattern: Pattern of the matrix, which is not symmetric.
-        within: Owner of the preconditioner; objects that only the set-up needs are freed here.
+        preconditioner_objects: Owner of K_ρ⁻¹, copies and columns, which destroys them. Objects
+            that only the set-up needs are freed here.
 
     Raises:
         SetUpError: The symmetric part is singular inside of a subdomain.
@@ -112,8 +117,8 @@ def create_symmetric_part_preconditioner(
             pattern = replace(
                 pattern, torn=torn, is_symmetric=True, analysis=pattern.symmetric_part_analysis
             )
-            setup = set_up(pattern, setup_objects, within, is_primal=True)
-            return create_preconditioner(pattern, setup, within)
+            setup = set_up(pattern, setup_objects, preconditioner_objects, is_primal=True)
+            return create_preconditioner(pattern, setup, preconditioner_objects)
     except SingularError:  # the symmetric part is singular, but K may be regular
         raise SetUpError(
             "The matrix is not symmetric. Its symmetric part, which would precondition it, is "

@@ -116,8 +116,9 @@ class _Iteration:
         test ends the method instead. If ‖r‖ has met its target, η has yet to be measured. Otherwise
         the last column needs no z.
         """
-        is_full = self.its == self._max_k < stopping.max_it
-        return is_full and stopping.target < self.norm < np.inf
+        is_full = self.its == self._max_k
+        has_iterations_left = self._max_k < stopping.max_it
+        return is_full and has_iterations_left and stopping.target < self.norm < np.inf
 
 
 class _ArnoldiBasis:
