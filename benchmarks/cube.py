@@ -108,7 +108,14 @@ def largest() -> Iterator[Case]:
 
 
 #: Sets of cases by name.
-SETS = {cases.__name__: cases for cases in (papers, choices, jumps, growth, numbers, largest)}
+SETS = {
+    "papers": papers,
+    "choices": choices,
+    "jumps": jumps,
+    "growth": growth,
+    "numbers": numbers,
+    "largest": largest,
+}
 
 
 def _with_all_choices(
@@ -217,15 +224,15 @@ def deviations(records: Sequence[Record]) -> tuple[float, int]:
     conditions = []
     iterations = []
     for record in records:
-        printed = _papers_solve(record)
+        printed = _printed_solve(record)
         if printed is not None:
-            papers_iterations, papers_condition = printed
-            iterations.append(abs(record["iterations"] - papers_iterations))
-            conditions.append(abs(record["condition_number"] / papers_condition - 1.0))
+            printed_iterations, printed_condition = printed
+            iterations.append(abs(record["iterations"] - printed_iterations))
+            conditions.append(abs(record["condition_number"] / printed_condition - 1.0))
     return max(conditions, default=math.nan), max(iterations, default=0)
 
 
-def _papers_solve(record: Record) -> tuple[int, float] | None:
+def _printed_solve(record: Record) -> tuple[int, float] | None:
     """Return iterations and condition number of the paper for a case, or None."""
     if record["degree"] != 1:
         return None
@@ -256,14 +263,14 @@ def _solve_texts(record: Record) -> dict[str, str]:
     iterations = record["iterations"]
     condition = record["condition_number"]
     number = FORMS["number"](condition)
-    printed = _papers_solve(record)
+    printed = _printed_solve(record)
     if printed is None:
         return {"its": str(iterations), "kappa": number}
-    papers_iterations, papers_condition = printed
-    deviation = FORMS["off"](condition / papers_condition)
+    printed_iterations, printed_condition = printed
+    deviation = FORMS["off"](condition / printed_condition)
     return {
-        "its": f"{iterations} ({papers_iterations})",
-        "kappa": f"{number} ({papers_condition:.1f}, {deviation})",
+        "its": f"{iterations} ({printed_iterations})",
+        "kappa": f"{number} ({printed_condition:.1f}, {deviation})",
     }
 
 
@@ -274,11 +281,11 @@ def _error_rows(records: Sequence[Record]) -> Iterator[dict[str, object]]:
     for (degree, kind, level), record in by_mesh.items():
         error = record["l2_error"]
         coarser = by_mesh.get((degree, kind, level - 1))
-        papers_error = paper.L2_ERRORS.get((kind, level)) if degree == 1 else None
+        printed_error = paper.L2_ERRORS.get((kind, level)) if degree == 1 else None
         yield record | {
             "eoc": math.log2(coarser["l2_error"] / error) if coarser else None,
-            "paper": papers_error,
-            "ratio": scale * error / papers_error if papers_error else None,
+            "paper": printed_error,
+            "ratio": scale * error / printed_error if printed_error else None,
         }
 
 

@@ -193,7 +193,7 @@ def _wall_section(records: Sequence[Record]) -> dict[str, object]:
         place = list(TYPES).index(kind), kappa, PRECONDITIONERS.index(pc)
         row = _named(of_row[0]) | {"place": place, "sources": of_row}
         row |= {record["choices"]: _costs(record) for record in of_row}
-        printed = _papers_step(of_row[0])
+        printed = _printed_step(of_row[0])
         if printed is not None:
             iterations, row["their_seconds"] = printed
             row["their_its"] = FORMS["count"](iterations) if iterations else "> 10 000"
@@ -230,13 +230,13 @@ def _compared_rows(records: Sequence[Record], *names: str) -> Iterator[Record]:
 
 def _iterations_ratio(record: Record) -> float | None:
     """Return the mean iterations of a case over the paper's; None without one of them."""
-    papers_iterations, _ = _papers_step(record) or (None, None)
-    if "failure" in record or papers_iterations is None:
+    printed_iterations, _ = _printed_step(record) or (None, None)
+    if "failure" in record or printed_iterations is None:
         return None
-    return record["linear_iterations_mean"] / papers_iterations
+    return record["linear_iterations_mean"] / printed_iterations
 
 
-def _papers_step(record: Record) -> tuple[int | None, float | None] | None:
+def _printed_step(record: Record) -> tuple[int | None, float | None] | None:
     """Return iterations and seconds of the paper for a case, or None."""
     case = tuple(record[name] for name in ("layers", "degree", "type", "kappa", "pc"))
     return paper.NONLINEAR.get(case)

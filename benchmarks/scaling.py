@@ -77,10 +77,16 @@ WEAK = (512, 10_000)
 #: Parts of the time that the page shows.
 SHOWN = ("local", "krylov", "total")
 
-#: Factors from the units of the model's cluster to those of the page: µs, GB/s and Gflop/s.
-UNITS = {"latency": 1e6, "node": 1, "bus": 1}
-UNITS |= dict.fromkeys(("bandwidth", "stream", "rate", "disk"), 1e-9)
-CLUSTER = {name: unit * getattr(model, name.upper()) for name, unit in UNITS.items()}
+#: The model's cluster in the units of the page: µs, GB/s and Gflop/s.
+CLUSTER = {
+    "latency": 1e6 * model.LATENCY,
+    "node": model.NODE,
+    "bus": model.BUS,
+    "bandwidth": 1e-9 * model.BANDWIDTH,
+    "stream": 1e-9 * model.STREAM,
+    "rate": 1e-9 * model.RATE,
+    "disk": 1e-9 * model.DISK,
+}
 
 #: Curve of each part.
 STYLES = {"local": {"color": COLOURS[2]}, "krylov": {"color": COLOURS[0]}, "total": {"color": "k"}}

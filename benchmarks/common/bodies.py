@@ -362,12 +362,15 @@ def displacement_at(u: dolfinx.fem.Function, point: Sequence[float]) -> Array:
     """Return the displacement of the node at a point [mm], (3,), on all processes. Collective.
 
     Raises:
-        IndexError: No node is there.
+        ValueError: No node is there.
     """
     V = u.function_space
     is_node = np.linalg.norm(V.tabulate_dof_coordinates() - point, axis=1) < 1e-6
     of_processes = V.mesh.comm.allgather(u.x.array.reshape(-1, 3)[is_node])
-    return np.concatenate(of_processes)[0]
+    found = np.concatenate(of_processes)
+    if len(found) == 0:
+        raise ValueError(f"no node of the mesh is at {tuple(point)}")
+    return found[0]
 
 
 def create_zero_bc(

@@ -73,11 +73,11 @@ def fill(template: str, fields: Fields) -> str:
         template: Text with fields and marks, as above.
         fields: Values of the page; a marked line or section is repeated for the Fields in a list.
     """
-    return "".join(
-        _lines(text, {**fields, **each})
-        for text, several in _sections(template)
-        for each in ([{}] if several is None else fields[several])
-    )
+    filled: list[str] = []
+    for text, repeated in _sections(template):
+        entries = [{}] if repeated is None else fields[repeated]
+        filled += [_lines(text, {**fields, **each}) for each in entries]
+    return "".join(filled)
 
 
 def missing_fields(template: str, fields: Fields) -> set[str]:

@@ -51,6 +51,9 @@ from dolfinx_feti.feti.coarse.fronts import MAX_FRONT_ENTRIES
 from dolfinx_feti.feti.coarse.group import ROWS_PER_PROCESS
 from dolfinx_feti.feti.coarse.solver import INVERSE_ROWS_PER_PROCESS
 
+#: Bytes of a number.
+NUMBER = 8.0
+
 # The cluster: plausible values of today, which are assumed and not measured.
 
 #: α: latency of a message [s].
@@ -129,11 +132,13 @@ class Model:
         K = max(2, base["coarse_size"])
         L = sent["coarse_entries"]
         flops = sent["coarse_flops"]
-        longer = grown * math.log(grown * K) / math.log(K)
-        gather, solve, factor = _coarse(grown * K, longer * L, grown**1.5 * flops, P)
-        _, solved, factored = _coarse(K, L, flops, first)
-        slowed = (self._slowed(P, σ) / self._slowed(first, σ) for σ in (SCATTER, CELLS))  # β
-        share, of_cells = (refined * first * β / P for β in slowed)
+        grown_entries = grown * math.log(grown * K) / math.log(K)
+        gather, solve, factor = _coarse(grown * K, grown_entries * L, grown**1.5 * flops, P)
+        _, measured_solve, measured_factor = _coarse(K, L, flops, first)
+        β = self._slowed(P, SCATTER) / self._slowed(first, SCATTER)
+        β_cells = self._slowed(P, CELLS) / self._slowed(first, CELLS)
+        share = refined * first * β / P
+        share_of_cells = refined * first * β_cells / P
         steps = base["newton_iterations"]
         parts = ("local", "krylov", "coarse", "reading", "fixed")
         rest = base["seconds_total"] - sum(base[f"seconds_{part}"] for part in parts)
@@ -143,15 +148,15 @@ class Model:
         message += (refined / grown) ** (2.0 / 3.0) * each["bytes"]["mean"] / BANDWIDTH
         seconds = {
             "local": base["seconds_local"] * share,
-            "work": max(0.0, base["seconds_krylov"] - solves * solved) * share,
+            "work": max(0.0, base["seconds_krylov"] - solves * measured_solve) * share,
             "messages": iterations * message if P > 1 else 0.0,
             "reductions": iterations * each["reductions"]["max"] * 2.0 * LATENCY * hops,
             "gathering": solves * gather,
             "coarse_solves": solves * solve,
-            "coarse_shared": max(0.0, base["seconds_coarse"] - steps * factored) * share,
+            "coarse_shared": max(0.0, base["seconds_coarse"] - steps * measured_factor) * share,
             "coarse_factor": steps * factor,
             "reading": self._reading(P, refined),
-            "rest": max(0.0, rest) * of_cells,
+            "rest": max(0.0, rest) * share_of_cells,
             "fixed": base["seconds_fixed"],
         }
         sums = {"krylov": KRYLOV, "coarse": COARSE, "total": PARTS}
@@ -191,7 +196,7 @@ def _bus(P: int) -> float:
 def _coarse(K: float, L: float, flops: float, P: int) -> tuple[float, float, float]:
     """Return the seconds of gathering, of a solve, and of a set-up, on P processes.
 
-    Numbers have 8 bytes; a solve reads the factor twice, forwards and backwards.
+    A solve reads the factor twice, forwards and backwards.
 
     Args:
         K: Coarse unknowns.
@@ -203,11 +208,11 @@ def _coarse(K: float, L: float, flops: float, P: int) -> tuple[float, float, flo
     group = 1 if L <= MAX_FRONT_ENTRIES else min(P, max(1, math.ceil(K / ROWS_PER_PROCESS)))
     make = flops / (group * RATE)
     if K > INVERSE_ROWS_PER_PROCESS * P:
-        gather = 16.0 * K / BANDWIDTH if P > 1 else 0.0  # b to the node, x from it
-        return gather, 16.0 * L / (group * STREAM), make  # read twice
-    gather = 2.0 * LATENCY * math.log2(P) + 8.0 * K / BANDWIDTH if P > 1 else 0.0
-    inverse = K / (BLOCKED * P) * 16.0 * L / stream
-    return gather, 8.0 * K**2 / (P * stream), make + inverse
+        gather = 2.0 * NUMBER * K / BANDWIDTH if P > 1 else 0.0  # b to the node, x from it
+        return gather, 2.0 * NUMBER * L / (group * STREAM), make  # read twice
+    gather = 2.0 * LATENCY * math.log2(P) + NUMBER * K / BANDWIDTH if P > 1 else 0.0
+    inverse = K / (BLOCKED * P) * (2.0 * NUMBER) * L / stream
+    return gather, NUMBER * K**2 / (P * stream), make + inverse
 
 
 def create_model(measured: Sequence[Record], counted: Sequence[Record]) -> Model | None:

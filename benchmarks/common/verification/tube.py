@@ -73,25 +73,25 @@ def _cases(args: Arguments, comm: MPI.Comm) -> Iterator[Record]:
     yield {name: getattr(args, name) for name in CASE} | {"degree": degree, "processes": comm.size}
 
 
-def _run(_case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
+def _run(case: Record, keep: Keep, args: Arguments, comm: MPI.Comm) -> None:
     """Inflate the tube; keep a record for each pressure. Collective."""
     tube = create_inflated_tube(
-        create_slice(comm, size=args.size, element=args.element),
-        c=args.c,
-        kappa=args.kappa,
-        subdomains=args.subdomains,
-        element=args.element,
-        volume_tolerance=VOLUME_TOLERANCE if args.augmented else None,
+        create_slice(comm, size=case["size"], element=case["element"]),
+        c=case["c"],
+        kappa=case["kappa"],
+        subdomains=case["subdomains"],
+        element=case["element"],
+        volume_tolerance=VOLUME_TOLERANCE if case["augmented"] else None,
     )
     steps: list[LoadStep] = []
 
     def report(step: LoadStep) -> None:
         steps.append(step)
         if step.load in args.pressures:
-            kappa = INCOMPRESSIBLE if args.augmented else args.kappa
-            truth = inflate(step.load * KPA_PER_MMHG, Wall(c=args.c, kappa=kappa))
+            kappa = INCOMPRESSIBLE if case["augmented"] else case["kappa"]
+            truth = inflate(step.load * KPA_PER_MMHG, Wall(c=case["c"], kappa=kappa))
             values = _cost(steps) | {"dofs": tube.body.dofs} | tube.compare(truth)
-            if args.augmented:
+            if case["augmented"]:
                 changes = tube.body.problem.volume_changes
                 values |= {"volume_change": changes[-1], "updates": len(changes)}
             keep({"pressure_mmhg": step.load}, values)

@@ -57,16 +57,16 @@ class Element:
     degree: int  # that of u; with bubbles half of the quadrature's
     pressures: tuple[str, int] = ("DG", 0)
     bricks: tuple[int, int, int] | None = None
-    bubbles: bool = False  # in cells and on faces
-    tetrahedra: bool = True  # or else hexahedra
+    has_bubbles: bool = False  # in cells and on faces
+    has_tetrahedra: bool = True  # or else hexahedra
 
 
 #: Curved cells are longer around the wall and outside, where stresses vary less. With these numbers
 #: no pair has more dofs than P2–P0.
 ELEMENTS = {
     "p2-p0": Element(2),
-    "q2-p1d": Element(2, ("DPC", 1), bricks=(5, 1, 8), tetrahedra=False),
-    "p2b-p1d": Element(3, ("DG", 1), bricks=(5, 1, 4), bubbles=True),
+    "q2-p1d": Element(2, ("DPC", 1), bricks=(5, 1, 8), has_tetrahedra=False),
+    "p2b-p1d": Element(3, ("DG", 1), bricks=(5, 1, 4), has_bubbles=True),
 }
 OUTER_RADIUS = INTERFACE + ADVENTITIA
 
@@ -180,7 +180,7 @@ def create_slice(comm: MPI.Comm, *, size: float, element: str = "p2-p0") -> Wall
             along=1,
             through=(media, adventitia),
             growth=GROWTH,
-            tetrahedra=kind.tetrahedra,
+            tetrahedra=kind.has_tetrahedra,
         )
     around = count_around(size, quarter=True)
     return create_tube_wall(comm, length=size, size=size, quarter=True, around=around)
@@ -201,7 +201,7 @@ def create_inflated_tube(wall: Wall, *, element: str = "p2-p0", **settings: obje
         wall,
         degree=kind.degree,
         pressures=kind.pressures,
-        element=quadratic_with_bubbles("tetrahedron", faces=True) if kind.bubbles else None,
+        element=quadratic_with_bubbles("tetrahedron", faces=True) if kind.has_bubbles else None,
         petsc_options={},
         prefix="tube_",
         fibres=tube_fibres(mesh) if kind.bricks is None else _helices(wall),
@@ -216,11 +216,11 @@ def create_inflated_tube(wall: Wall, *, element: str = "p2-p0", **settings: obje
     layer = np.zeros(len(volume), dtype=np.int64)
     outer = wall.cell_tags.find(wall.layers["adventitia"])
     layer[outer[outer < len(layer)]] = 1
-    straight = kind.bricks is None
+    is_straight = kind.bricks is None
     return InflatedTube(
         body,
         frame=(e_r, e_t),
-        patches=create_patches(mesh, wall.cell_tags, degree=QUADRATURE) if straight else None,
+        patches=create_patches(mesh, wall.cell_tags, degree=QUADRATURE) if is_straight else None,
         points=points,
         radii=_at_points(r, mesh, points),
         weights=volume * weights,
