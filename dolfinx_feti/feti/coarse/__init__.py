@@ -25,7 +25,8 @@ The paper is C. M. Augustin, G. A. Holzapfel and O. Steinbach, *IJNME* 99
 function that returns columns U_i of each subdomain, (n_{Γ,i}, any number), as ``adaptive`` does.
 ``primal.preconditioner`` appends them to E, before it computes adaptive columns. Nothing else
 changes: owners, blocks and matrices follow from the widths of the U_i. An option for such columns
-is a field of ``options.FETIOptions``, which ``Pattern.options`` has.
+is a field of ``options.FETIOptions``, which ``Pattern.options`` has. An example is
+``corner_columns`` in tests/feti/coarse/test_primal_problem.py.
 
 **Columns in place of E** change more, because these parts rely on the span of V containing E:
 

@@ -109,14 +109,14 @@ def adaptive_columns(
             multiply_average=lambda X: δ * multiply_A(i, δ * X),  # δ T_i A T_iᵀ δ X
             solve=lambda F: solve_S(i, F),
             U_0=U_0[i],
-            max_columns=_columns_in_proportion(rows.stop - rows.start, max_columns),
+            max_columns=_max_columns_of(rows.stop - rows.start, max_columns),
             threshold=threshold,
         )
 
     return on_subdomains(lambda: [columns(i) for i in range(len(copies.rows))], copies.comm)
 
 
-def _columns_in_proportion(n: int, max_columns: int) -> int:
+def _max_columns_of(n: int, max_columns: int) -> int:
     """Return the largest number of adaptive columns of one subdomain, in proportion to its dofs.
 
     Args:

@@ -181,7 +181,7 @@ def create_primal_coarse_problem(
         if products.has_single_precision() and amplifies_rounding(A_0, solver):
             products.store_in_double_precision()
         negative = solver.inertia().negative
-        if is_symmetric and negative:
+        if is_symmetric and negative:  # some of them may be rounding errors
             rounding = _energy_rounding(V, combinations.B, S)
             negative = _count_negative_beyond(rounding, A_0, options)
         problem = PrimalCoarseProblem(V, combinations, products, A_0, solver, negative)

@@ -166,9 +166,9 @@ class PrimalFormulation:
         info = replace(
             info, ritz_vectors=vectors, measured_error=self._assembled_error(info.measured_error)
         )
-        is_definite = self.preconditioner.inertia.local == 0
-        if info.reason == Reason.DIVERGED_INDEFINITE_PC and is_definite:
-            # M is positive definite: rᵀ z ≤ 0 was a rounding error, and a fresh start helps.
+        has_definite_M = self.preconditioner.inertia.local == 0  # no K_ρ is indefinite
+        if info.reason == Reason.DIVERGED_INDEFINITE_PC and has_definite_M:
+            # rᵀ z ≤ 0 was a rounding error, and a fresh start helps.
             info = replace(info, reason=Reason.ITERATING, needs_fresh_start=True)
         return self._extended(x_Γ, f) + u_D, info
 

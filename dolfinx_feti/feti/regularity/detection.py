@@ -137,6 +137,7 @@ def require_regular(
     rigid = free_motions(torn, bodies, is_semidefinite=is_semidefinite)
     has_unknown_motions = not rigid.lie_in_null_space()
     growth, error = growth_and_backward_error(coarse.N, coarse.solver)
+    has_zero_pivot = np.isinf(growth)
     is_accurate = error <= MAX_BACKWARD_ERROR
     is_suspicious = not (growth <= SUSPICIOUS_GROWTH and is_accurate)
     mechanisms = np.zeros((torn.n, 0))
@@ -146,7 +147,7 @@ def require_regular(
         raise singular_error(rigid, mechanisms)
     if is_accurate:
         return
-    if np.isinf(growth):
+    if has_zero_pivot:
         raise SingularError(NEARLY_SINGULAR)
     raise inaccurate_solver_error(error, coarse.options.prefix)
 
