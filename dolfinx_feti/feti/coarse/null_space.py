@@ -38,7 +38,7 @@ def is_null_space(N: PETSc.Mat, Z_c: Array) -> bool:
     """
     if not Z_c.shape[1]:
         return True
-    scale = N.norm() or 1.0
+    scale = N.norm() or 1.0  # any number will do for N = 0
     is_null = True
     with Lifetime() as owned:
         z, force = map(owned.own, N.createVecs())
@@ -63,7 +63,7 @@ def make_regular(N: PETSc.Mat, Z_c: Array) -> None:
     Z_all = np.vstack(comm.allgather(Z_c))
     pivots = on_all(lambda: scipy.linalg.qr(Z_all.T, mode="r", pivoting=True)[1], comm)
     chosen = pivots[: Z_c.shape[1]] - first
-    θ = N.norm() or 1.0
+    θ = N.norm() or 1.0  # positive also for N = 0
     dofs = np.arange(len(Z_c))
     diagonal = np.where(np.isin(dofs, chosen), θ, 0.0)  # θ I_k on this process
     block = scipy.sparse.csr_array((diagonal, (dofs, dofs)), shape=(len(dofs), len(dofs)))

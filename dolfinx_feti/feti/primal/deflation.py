@@ -110,9 +110,7 @@ class DeflationSpace:
         return np.asarray(z + self.W @ c), float(product[0] + W_r @ c)
 
     def proves_indefinite(self, v: Array, energy: float) -> bool:
-        """Return True if vᵀ A v is negative beyond rounding. Collective.
-
-        It costs a product with each S_i, and is meant for the few v with a negative energy.
+        """Return True if vᵀ A v is negative beyond rounding (``coarse.rounding``). Collective.
 
         Args:
             v: Assembled vector by its copies, (n_Γ,).
