@@ -43,4 +43,5 @@ class Part:
 
     def has(self, record: Record) -> bool:
         """Return True if a record, or the key of a case, is one of this part."""
-        return record.get(self.key) in self.values
+        value = record.get(self.key)
+        return isinstance(value, str) and value in self.values
