@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Several solvers on a user's problem, in one call, and what that is made of."""
+"""Comparison of solvers on a user's problem, and the parts that it is made of."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def linear(body, subdomains=6):
 
 
 def all_agree(found, names):
-    """Every solver has solved the same system."""
+    """Require that each solver has solved the same system."""
     agree([s.solver for s in found.results] == list(names), found)
     agree(all(s.converged and not s.note for s in found.results), found)
     for solved in found.results:
@@ -78,7 +78,7 @@ def all_agree(found, names):
 
 
 def test_solvers_agree_on_a_linear_problem():
-    """With prescribed values that are not zero; the records are JSON, the table names all."""
+    """With nonzero prescribed values all solvers agree, and records and table are complete."""
     names = ("feti", "mumps", "gamg", "bddc")
     problem = linear(elasticity(cube(3, 4), stretched=True))
     found = compare(problem)
@@ -96,7 +96,7 @@ def test_solvers_agree_on_a_linear_problem():
 
 @pytest.mark.parametrize("create", [poisson, elasticity])
 def test_solvers_agree_in_the_complement_of_a_null_space(create):
-    """Also MUMPS, whose factorisation has a zero pivot for each null vector."""
+    """With a null space all solvers agree, MUMPS with its zero pivots included."""
     problem = linear(create(cube(2, 8), clamped=None))
     A, b = problem.linear_system()
     b.destroy()
@@ -116,12 +116,13 @@ def test_problem_goes_on_after_a_comparison(solve_linear):
 
 
 def test_without_a_direct_solver_there_is_no_difference():
+    """Without a direct solver the difference to it is None."""
     record = compare(linear(poisson(cube(2, 4)), 3), ["feti"]).records[0]
     agree(record["difference_to_direct"] is None and record["converged"])
 
 
 def test_options_stand_back_behind_the_users():
-    """Also options of the levels of a multigrid, which PETSc creates at set-up."""
+    """The user's options take precedence, also on multigrid levels created at set-up."""
     problem = linear(elasticity(cube(3, 6)))
     A, b = problem.linear_system()
     K, f = assembled_system(A, b)
@@ -150,7 +151,7 @@ def test_differences_and_residuals_are_relative():
 
 
 def test_solvers_of_ones_own():
-    """A dict has PETSc options for each solver, also for solvers that are known by name."""
+    """A dict gives solvers their PETSc options, known solvers included."""
     own = {
         "feti": {},
         "mumps": None,
@@ -167,7 +168,7 @@ def test_solvers_of_ones_own():
 
 
 def test_feti_with_other_options():
-    """FETI's options replace those of the problem; other solvers keep theirs."""
+    """Options for FETI replace those of the problem, and other solvers keep theirs."""
     forms = ("primal", "dual")
     own = {"mumps": {}} | {form: {"feti_formulation": form} for form in forms}
     problem = linear(elasticity(cube(3, 3)), 4)
@@ -193,6 +194,7 @@ MUMPS = "not enough memory or work space.*-mumps_mat_mumps_icntl_"
     ],
 )
 def test_solver_that_fails_has_a_note(solver, option, value, note):
+    """A solver that fails has a note with the reason."""
     with inserted(f"{solver}_", {option: value}):
         found = compare(linear(elasticity(cube(3, 8))), [solver, "bddc"])
     failed, other = found.results
@@ -202,12 +204,15 @@ def test_solver_that_fails_has_a_note(solver, option, value, note):
 
 
 def test_feti_that_fails_says_why():
+    """If FETI fails, its note has the reason."""
     body = elasticity(cube(3, 3), clamped=None)
     found = compare(linear(body), ["feti"])
     agree(not found.results[0].converged and "singular" in found.results[0].note, found)
 
 
 def test_error_of_petsc_becomes_a_note(monkeypatch):
+    """An error of PETSc becomes a note of its solver, and the other solvers run."""
+
     def refuse(*_, **_options):
         raise PETSc.Error(56)
 
@@ -219,6 +224,8 @@ def test_error_of_petsc_becomes_a_note(monkeypatch):
 
 
 def test_solver_that_petsc_lacks_is_named(monkeypatch):
+    """A solver that PETSc was built without is named."""
+
     def lacks(solver):
         factors = solver.options.get("pc_factor_mat_solver_type")
         return "mumps" if factors == "mumps" else ""
@@ -231,7 +238,7 @@ def test_solver_that_petsc_lacks_is_named(monkeypatch):
 
 
 def test_unsymmetric_matrix():
-    """Convection: GMRES for FETI and GAMG, LU for MUMPS."""
+    """For an unsymmetric matrix FETI and GAMG use GMRES, and MUMPS uses LU."""
     body = poisson(cube(2, 6))
     u = ufl.TrialFunction(body.V)
     v = ufl.TestFunction(body.V)
@@ -242,7 +249,7 @@ def test_unsymmetric_matrix():
 
 @pytest.mark.parametrize("kappa", [1e2, 1e3, 1e4, 1e5])
 def test_small_skew_part_beside_a_large_bulk_modulus(kappa):
-    """The full tangent of a beam's pressure gets small relative to ‖K‖ as κ grows."""
+    """A skew part that is small relative to ‖K‖ is detected for large κ too."""
     body = beam(tangent="full", kappa=kappa)
     body.load.value = 0.0005
     problem = body.problem(4, {"ksp_rtol": 1e-6})
@@ -261,7 +268,7 @@ def test_small_skew_part_beside_a_large_bulk_modulus(kappa):
     ],
 )
 def test_reference_is_held_to_its_residual(monkeypatch, limit, note):
-    """An unsymmetric matrix that counts as symmetric, and a residual that no solver reaches."""
+    """If Cholesky's residual is too large LU is tried, or else there is no reference."""
     monkeypatch.setattr(solvers, "is_symmetric", lambda _A: True)
     monkeypatch.setattr(run, "REFERENCE_RTOL", limit)
     body = beam(tangent="full", kappa=1e4)
@@ -284,7 +291,7 @@ def test_reference_is_held_to_its_residual(monkeypatch, limit, note):
     ],
 )
 def test_wrong_solvers(names, kind, match):
-    """In the last case the processes have different solvers."""
+    """Unknown solvers, and solvers that differ between processes, are refused."""
     if names is None:
         names = ["feti"] if COMM.rank == 0 else ["feti", "mumps"]
         if COMM.size == 1:
@@ -294,6 +301,7 @@ def test_wrong_solvers(names, kind, match):
 
 
 def test_other_problems():
+    """Problems of other types, and with zero load, are refused."""
     with raises(TypeError, "problem is .*: give .*LinearProblem"):
         compare(poisson(cube(2, 4)))
     with raises(ValueError, "right-hand side of the problem is zero"):
@@ -319,7 +327,7 @@ def skew(K, _dofs):
 @pytest.mark.parametrize("held", [True, False])
 @pytest.mark.parametrize("components", [1, 2])
 def test_assembled_system(torn_grid, components, held):
-    """Unit rows and columns at Dirichlet dofs, whose values move to the right; A stays."""
+    """Dirichlet dofs have unit rows and columns, with values moved to the right; A is unchanged."""
     free = {} if held else {"fixed": lambda x: np.zeros(len(x), dtype=bool)}
     problem = torn_grid((2, 2), (2, 3), components=components, **free)
     b = np.random.default_rng(SEED).standard_normal(len(problem.dirichlet))
@@ -345,7 +353,7 @@ def test_assembled_system(torn_grid, components, held):
 
 @pytest.mark.parametrize("symmetric", [True, False])
 def test_mumps(torn_grid, symmetric):
-    """Symmetry is detected and decides between Cholesky and LU; options reach MUMPS."""
+    """MUMPS uses Cholesky or LU by the detected symmetry, and receives its options."""
     problem = torn_grid((2, 2), (2, 2), components=2, change=None if symmetric else skew)
     b = np.random.default_rng(SEED + 1).standard_normal(len(problem.dirichlet))
     K, f = assembled_system(problem.A, problem.vector(b))
@@ -362,7 +370,7 @@ def test_mumps(torn_grid, symmetric):
 
 
 def test_measure_tells_set_up_from_solution(torn_grid):
-    """Times and counts are the solver's own, on all processes; the solver is freed."""
+    """Set-up and solution are timed apart on all processes, and the solver is freed."""
 
     class Slow:
         def setUp(self, pc):
@@ -397,7 +405,7 @@ def test_measure_tells_set_up_from_solution(torn_grid):
 
 
 def test_timed_solver_is_kept(torn_grid):
-    """It belongs to the caller; a second solve uses the same factor."""
+    """A timed solver is the caller's, and a second solve reuses its factor."""
     problem = torn_grid((3, 2), (2, 2))
     K, f = assembled_system(problem.A, problem.vector(np.ones(len(problem.dirichlet))))
     x = f.duplicate()
@@ -414,7 +422,7 @@ def test_timed_solver_is_kept(torn_grid):
 
 
 def test_peak_counts_what_was_given_back():
-    """It is summed over all processes, and begins anew with each PeakMemory."""
+    """Peak memory includes freed memory, is summed over processes, and restarts each time."""
     if not all(COMM.allgather(math.isfinite(PeakMemory().mib_above_start(COMM)))):
         pytest.skip("/proc/self has no peak")
     everybody = range(COMM.size)

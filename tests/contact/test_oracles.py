@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The bodies of the study of contact beside their closed forms, on coarser meshes."""
+"""The bodies of the contact study agree with their closed forms, on coarser meshes."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from benchmarks.contact import STUDY, hertz, ring, tube
 
 
 def test_sphere_on_a_half_space():
+    """A sphere on a half-space has Hertz's contact radius, pressure and force."""
     found = hertz(COMM, cells=8)
     small(found["radius_error"], 0.02)
     small(found["pressure_error"], 0.03)
@@ -19,18 +20,20 @@ def test_sphere_on_a_half_space():
 
 
 def test_tube_on_a_growing_cylinder():
+    """A tube on a growing cylinder has its closed-form pressure and outer radius."""
     found = tube(COMM, cells=2)
     small(found["pressure_error"], 0.005)
     small(found["outer_radius_error"], 0.001)
 
 
 def test_work_on_a_ring_is_its_energy():
+    """The work of the contact force on a ring is the energy stored in it."""
     found = ring(COMM, cells=16)
     small(found["energy_error"], 0.005)
 
 
 def test_page_shows_the_records(tmp_path):
-    """From the records of the site."""
+    """The study's page shows the site's records."""
     records = ROOT / "docs/results/contact.json"
     text = STUDY.write_page([records], COMM.bcast(tmp_path) / str(COMM.rank))
     agree("Iterations in contact" in text and "[dofs]" not in text, text)

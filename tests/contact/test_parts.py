@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Each part of a contact alone, without a problem, on a square whose values are known by hand."""
+"""Parts of a contact on a square, against values known by hand."""
 
 from __future__ import annotations
 
@@ -83,13 +83,13 @@ def assembled(form: ufl.Form) -> np.ndarray:
 
 
 def test_law_has_the_energy_of_springs(law):
-    """With λ = 0 it is ∫ ε g²/2 dA on an edge of length 1."""
+    """With λ = 0 the law's energy is ∫ ε g²/2 dA."""
     energy = total(dolfinx.fem.assemble_scalar(dolfinx.fem.form(law.energy)))
     small(energy - PENALTY_OF_LAW * DEPTH**2 / 2, 1e-15)
 
 
 def test_virtual_work_is_the_derivative_of_the_energy():
-    """The law writes it out; here UFL differentiates the energy."""
+    """The law's virtual work is UFL's derivative of its energy."""
     u = displacement()
     law = law_of(sphere(0.5, (0.5, -0.4)), u)
     v = ufl.TestFunction(u.function_space)
@@ -98,7 +98,7 @@ def test_virtual_work_is_the_derivative_of_the_energy():
 
 
 def test_tangent_is_the_derivative_of_the_virtual_work():
-    """Both exceptions are off: no point has g = 0, or is as deep as a hundredth of a cell."""
+    """The tangent is the derivative of the virtual work for small penetrations g ≠ 0."""
     u = displacement()
     law = law_of(sphere(0.5, (0.5, -0.499)), u)
     direction = dolfinx.fem.Function(u.function_space)
@@ -109,7 +109,7 @@ def test_tangent_is_the_derivative_of_the_virtual_work():
 
 
 def test_tangent_bounds_the_curvature_of_a_deep_penetration():
-    """At a depth of 0.4 cells, p in −p Δδg is that of a hundredth of a cell."""
+    """For deep penetrations the tangent limits p in −p Δδg to that of a hundredth of a cell."""
     u = displacement()
     law = law_of(sphere(0.5, (0.5, -0.4)), u)
     direction = dolfinx.fem.Function(u.function_space)
@@ -123,7 +123,7 @@ def test_tangent_bounds_the_curvature_of_a_deep_penetration():
 
 
 def test_surface_has_the_points_of_its_edge(surface):
-    """Three on each of four facets of length a quarter, in the order of the facets."""
+    """The surface has three points on each facet, in the order of the facets."""
     small(total(len(surface.dofs)) - 12, 0.0)
     small(total(len(surface.facets)) - 4, 0.0)
     X = surface.coordinates()
@@ -135,12 +135,14 @@ def test_surface_has_the_points_of_its_edge(surface):
 
 
 def test_surface_refuses_a_measure_without_facets(law):
+    """A measure without facets is refused."""
     ds = law.ds(7)
     with raises(ValueError, "has no facets"):
         ContactSurface(law.multiplier.function_space, ds, 1.0, Compiler(COMM))
 
 
 def test_surface_refuses_a_negative_weight(law):
+    """A quadrature rule with a negative weight is refused."""
     weight = 0.5 - ufl.SpatialCoordinate(law.u.function_space.mesh)[0]
     with raises(ValueError, "weight of a contact is not positive"):
         ContactSurface(law.multiplier.function_space, law.ds, weight, Compiler(COMM))
@@ -160,13 +162,14 @@ def test_stiffness_of_springs_is_the_stiffness_per_area(law, surface, quantile):
 
 
 def test_nodal_forces_of_a_pressure_have_its_resultant(law, surface):
+    """The nodal forces of a pressure sum to its resultant."""
     p = 2.0 + surface.coordinates()[:, 0]
     forces = Traces(law.u.function_space, surface).nodal_forces(p)
     small(total(forces) - 2.5, 1e-14)
 
 
 def test_fit_keeps_the_traces_of_u_and_the_forces(law, surface):
-    """A quadratic pressure is a trace of u; of any other one, the fit has the same forces."""
+    """The fit of a trace of u is exact, and of any pressure has the same nodal forces."""
     traces = Traces(law.u.function_space, surface)
     x = surface.coordinates()[:, 0]
     equal(traces.fit(1.0 + x**2), 1.0 + x**2, 1e-9)
@@ -177,6 +180,7 @@ def test_fit_keeps_the_traces_of_u_and_the_forces(law, surface):
 
 
 def test_values_below_a_plate(law, surface):
+    """Gap, normals, pressure, force and area stretch below a plate are those known by hand."""
     law.multiplier.x.array[:] = 0.5
     values = ContactEvaluation(surface, law)
     n = len(surface.dofs)
@@ -192,6 +196,7 @@ def test_values_below_a_plate(law, surface):
 
 
 def test_state_updates_the_multiplier(law, surface):
+    """An update of the multiplier sets λ to the contact pressure."""
     values = ContactEvaluation(surface, law)
     state = ContactState(values, Traces(law.u.function_space, surface))
     small(state.violation() - DEPTH / (np.sqrt(2.0) / 4), 1e-14)
@@ -205,6 +210,7 @@ def test_state_updates_the_multiplier(law, surface):
 
 
 def test_state_raises_the_penalty_only(law, surface):
+    """Penalties are raised where the stiffness asks for it, and never reduced."""
     traces = Traces(law.u.function_space, surface)
     values = ContactEvaluation(surface, law)
     state = ContactState(values, traces)
@@ -222,7 +228,7 @@ def test_state_raises_the_penalty_only(law, surface):
 
 @pytest.mark.parametrize(("distance", "crosses"), [(0.5, True), (-0.5, False)])
 def test_crossing_is_seen_behind_a_thin_tool(distance, crosses):
-    """The edge moves up through a small circle, or down away from it."""
+    """A surface that has crossed a thin tool is detected, and one that moved away is not."""
     u = displacement()
     law = law_of(sphere(0.05, (0.5, 0.25)), u)
     detection = CrossingDetection(ContactEvaluation(surface_of(law), law))
@@ -232,7 +238,7 @@ def test_crossing_is_seen_behind_a_thin_tool(distance, crosses):
 
 
 def test_rounding_of_forces_is_that_of_the_distance():
-    """A sphere of radius 1e4 rounds distances by 1e-12; u is restored."""
+    """The rounding of forces is that of the tool's distances, here 1e-12; u is restored."""
     u = displacement()
     law = law_of(sphere(1e4, (0.5, -1e4 + DEPTH)), u)
     surface = surface_of(law)
@@ -246,7 +252,7 @@ def test_rounding_of_forces_is_that_of_the_distance():
 
 
 def test_fields_have_the_values_of_their_points(surface):
-    """On the mesh of the edge, a field of x is x at its own points."""
+    """Fields on the mesh of the edge have the values of their points."""
     fields = SurfaceFields(surface)
     f = fields.create("x")
     fields.set_values(f, surface.coordinates()[:, 0])

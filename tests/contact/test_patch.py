@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Blocks and plates: a uniform pressure, whatever the cells, units, processes and subdomains."""
+"""A uniform contact pressure results for any cells, units, processes and subdomains."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ STEPS = 9
 @pytest.mark.parametrize("body", BODIES)
 @pytest.mark.parametrize("held_by", ["contact", "conditions"])
 def test_pressure_is_uniform(body, held_by):
-    """On a block that only the plate supports under a load, and on one that the plate pushes."""
+    """A block pressed on a plate has a uniform pressure, supported by it or not."""
     dim, n, cell, degree = BODIES[body]
     load = 0.1 if held_by == "contact" else None
     touching = block(plate(dim), dim=dim, n=n, cell=cell, degree=degree, pressure=load)
@@ -50,7 +50,7 @@ def test_pressure_is_uniform(body, held_by):
 @pytest.mark.processes(1, 2, 3)
 @pytest.mark.parametrize("subdomains", [4, 12])
 def test_answer_does_not_depend_on_processes_and_subdomains(subdomains):
-    """The record of one process with four subdomains is met to twelve digits, step by step."""
+    """Steps and forces are those of the record, whatever the decomposition."""
     touching = block(bump(3), subdomains=subdomains)
     touching.numbers["height"].value = 0.08
     touching.problem.solve()
@@ -62,7 +62,7 @@ def test_answer_does_not_depend_on_processes_and_subdomains(subdomains):
 
 @pytest.mark.parametrize(("length", "stress"), [(1e-3, 1e6), (1e3, 1e-3), (1.0, 1e3)])
 def test_answer_does_not_depend_on_units(length, stress):
-    """Lengths and stresses in other units: the same force over stress and area, the same steps."""
+    """In other units, steps and the force over stress and area are the same."""
     results = []
     for unit, kind in ((1.0, 1.0), (length, stress)):
         touching = block(bump(3, unit), length=unit, stiffness=kind, n=2)
@@ -76,7 +76,7 @@ def test_answer_does_not_depend_on_units(length, stress):
 
 
 def test_residual_finds_the_same_state_as_an_energy():
-    """F may be given as a residual, whose potential Newton's method does not know then."""
+    """A residual, whose potential is not known, has the solution of the energy."""
     forces = []
     for as_residual in (False, True):
         touching = block(bump(2), dim=2, cell=Cell.triangle, n=6, as_residual=as_residual)
@@ -87,7 +87,7 @@ def test_residual_finds_the_same_state_as_an_energy():
 
 
 def test_second_solve_changes_little():
-    """A second solve changes the force by no more than the tolerance of the contact."""
+    """A second solve changes the force by at most the tolerance of the contact."""
     touching = block(bump(2), dim=2, cell=Cell.triangle, n=6)
     touching.numbers["height"].value = 0.08
     touching.problem.solve()

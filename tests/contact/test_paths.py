@@ -23,7 +23,7 @@ from dolfinx_feti.output import FieldWriter
 @pytest.mark.parametrize("gap", [1e-3, 0.1, 1.0])
 @pytest.mark.parametrize("as_residual", [False, True], ids=["energy", "residual"])
 def test_first_contact_of_a_body_that_nothing_holds(gap, as_residual):
-    """It falls on the plate, through a gap of a thousandth of a cell and of three cells."""
+    """A body without supports falls through a gap and rests on the plate."""
     touching = block(
         plate(3), cell=Cell.hexahedron, degree=1, pressure=0.1, as_residual=as_residual
     )
@@ -35,6 +35,7 @@ def test_first_contact_of_a_body_that_nothing_holds(gap, as_residual):
 
 
 def test_lost_contact_names_a_remedy():
+    """If contact is lost and nothing else supports the body, the error recommends weak springs."""
     touching = block(plate(2), dim=2, cell=Cell.quadrilateral, degree=1, pressure=0.1)
     touching.problem.solve()
     touching.numbers["pressure"].value = -0.02
@@ -48,7 +49,7 @@ def thin(height):
 
 
 def test_jump_through_a_thin_tool_is_refused():
-    """Before and after it the surface touches nothing."""
+    """A step that jumps through a thin tool is refused, although both states have no contact."""
     touching = block(thin, dim=2, n=8, cell=Cell.quadrilateral)
     touching.numbers["height"].value = -0.1
     touching.problem.solve()
@@ -58,6 +59,7 @@ def test_jump_through_a_thin_tool_is_refused():
 
 
 def test_path_takes_short_steps_where_a_long_one_jumps():
+    """A path shortens its steps where a longer one would jump through a thin tool."""
     touching = block(thin, dim=2, n=8, cell=Cell.quadrilateral)
     steps = follow(touching, -0.1, [-0.02], Steps(first=0.3, least=1e-3))
     agree(touching.contact.force()[1] > 0.0)
@@ -76,7 +78,7 @@ def follow(touching: Touching, start: float, heights, steps: Steps, **options):
 
 @pytest.mark.processes(1, 2, 3)
 def test_restart_repeats_the_path(tmp_path):
-    """The checkpoint has multipliers, penalty and the states of the prediction."""
+    """A restarted path repeats multipliers, penalty and predictions of one run."""
     folder = COMM.bcast(tmp_path)
     lengths = Steps(first=0.01, least=1e-4)
     heights = [0.02, 0.05]
@@ -92,7 +94,7 @@ def test_restart_repeats_the_path(tmp_path):
 
 
 def test_multipliers_of_volume_and_contact_settle_together():
-    """Each cell keeps its volume, and the plate carries the load evenly."""
+    """With volume multipliers too, each cell keeps its volume and the pressure is uniform."""
     touching = block(plate(2), dim=2, n=4, cell=Cell.triangle, pressure=0.1, volume_tolerance=1e-8)
     touching.problem.solve()
     least, most = touching.pressures()
@@ -102,7 +104,7 @@ def test_multipliers_of_volume_and_contact_settle_together():
 
 
 def test_contact_along_an_arc():
-    """The load is an unknown; the contact pressure is equal to it."""
+    """With the load as an unknown of an arc, the contact pressure equals it."""
     touching = block(
         plate(2), dim=2, n=3, cell=Cell.triangle, pressure=0.0, along_arc=True, as_residual=True
     )
@@ -116,7 +118,7 @@ def test_contact_along_an_arc():
 
 @pytest.mark.parametrize("path", [prestress, unload])
 def test_paths_of_images_refuse_contacts(path):
-    """Any contact pressure in the image would be consistent with it."""
+    """Prestress and unload refuse contacts, whose pressure in an image is unknown."""
     touching = block(plate(2), dim=2, cell=Cell.quadrilateral, degree=1)
     mesh = touching.u.function_space.mesh
     G = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0, (2, 2))))
@@ -127,6 +129,7 @@ def test_paths_of_images_refuse_contacts(path):
 
 
 def test_pressure_is_written(tmp_path):
+    """The contact pressure can be written, and the true pressure is lower on a stretched face."""
     touching = block(plate(3), n=2)
     touching.numbers["height"].value = 0.05
     touching.problem.solve()
@@ -149,6 +152,7 @@ def test_pressure_is_written(tmp_path):
     ids=["list", "kind", "tolerance"],
 )
 def test_bad_arguments(given, words):
+    """Bad arguments of a contact are refused."""
     touching = block(plate(2), dim=2, cell=Cell.quadrilateral, degree=1)
     u = touching.u
     arguments = {"contacts": [touching.contact], **given}

@@ -34,12 +34,13 @@ PLACES = {
 
 @pytest.mark.parametrize("name", PLACES)
 def test_distance(name):
-    """UFL evaluates expressions of numbers itself."""
+    """The distance of a tool is that known by hand."""
     tool, place, distance = PLACES[name]
     assert math.isclose(ufl.as_ufl(tool(ufl.as_vector(place)))(()), distance, rel_tol=1e-12)
 
 
 def test_constant_moves_a_tool():
+    """A Constant in a tool moves it."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 1, 1)
     radius = dolfinx.fem.Constant(mesh, 1.0)
     centre = dolfinx.fem.Constant(mesh, np.zeros(2))
@@ -66,6 +67,7 @@ def test_constant_moves_a_tool():
     ids=["radius", "centre", "axis", "offset", "union", "plane"],
 )
 def test_bad_tools(make, words):
+    """Tools with bad arguments are refused."""
     with pytest.raises(ValueError, match=words):
         make()
 
@@ -88,5 +90,6 @@ def _body():
     ids=["measure", "tool", "shape", "position", "component", "problem"],
 )
 def test_bad_contacts(make, kind, words):
+    """Contacts with bad arguments are refused."""
     with raises(kind, words):
         make(_body())

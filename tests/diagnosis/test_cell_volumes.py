@@ -25,6 +25,7 @@ from dolfinx_feti.meshes.curved import create_curved_mesh
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("kind", [Cell.triangle, Cell.quadrilateral])
 def test_what_is_found(kind, unit, caplog):
+    """Inverted cells are counted and located, also where det F > 0 at all quadrature points."""
     strip = Strip(kind, unit=unit)
     strip.place(strip.u, INVERTED)
     agree(strip.problem._system.smallest_volume_ratio() > 0.0)
@@ -46,6 +47,7 @@ def test_what_is_found(kind, unit, caplog):
 
 @pytest.mark.parametrize(("strain", "is_sound"), [(DISTORTED, False), (SOUND, True)])
 def test_distorted_cells(strain, is_sound):
+    """A cell counts as distorted if its volume ratio varies by more than the threshold."""
     strip = Strip()
     strip.place(strip.u, strain)
     found = strip.problem.cell_volumes()
@@ -54,7 +56,7 @@ def test_distorted_cells(strain, is_sound):
 
 
 def test_axisymmetric_body_with_its_axis():
-    """(1 + a)² (1 + b) everywhere, the axis included, where u/r is 0/0; then b(z) inverts."""
+    """The volume ratio of an axisymmetric body is found on the axis too, where u/r is 0/0."""
     mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (1, 1)], (3, 1))
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
     u = dolfinx.fem.Function(V)
@@ -78,7 +80,7 @@ def test_axisymmetric_body_with_its_axis():
 
 
 def test_curved_cells():
-    """A stretch is found to be one on curved cells; they invert as straight ones do."""
+    """On curved cells a stretch is no distortion, and inversions are detected."""
     square = dolfinx.mesh.create_unit_square(COMM, 3, 3, Cell.quadrilateral)
 
     def bent(x):
@@ -104,7 +106,7 @@ def test_curved_cells():
 
 @pytest.mark.parametrize(("degree", "inverted"), [(1, 1), (3, 2)])
 def test_other_degrees(degree, inverted):
-    """P1 is constant in a cell; a node of P3 that moves inverts the cells at it alone."""
+    """An inversion is counted in each cell of the moved node, for P1 to P3."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (2,)))
     u = dolfinx.fem.Function(V)
@@ -121,7 +123,7 @@ def test_other_degrees(degree, inverted):
 
 
 def test_swelling_is_no_distortion():
-    """A body whose volume triples or shrinks evenly is sound, and so is grown tissue."""
+    """A uniform change of volume, of a body or by growth, is no distortion."""
     strip = Strip()
     for factor in (3.0, 0.3):
         strip.u.interpolate(lambda x, factor=factor: np.stack([(factor - 1) * x[0], 0 * x[1]]))
@@ -131,7 +133,7 @@ def test_swelling_is_no_distortion():
 
 
 def test_elastic_part_is_looked_at():
-    """F G⁻¹ of a prestressed image: G = I − s x e_x ⊗ e_x is inside out at x = 1, F is not."""
+    """Of a prestressed image the elastic part F G⁻¹ is checked, here inverted at x = 1."""
     mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (1, 1)], (1, ROWS))
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
     u = dolfinx.fem.Function(V)
@@ -149,7 +151,7 @@ def test_elastic_part_is_looked_at():
 
 
 def test_gradient_at_points_of_a_quadrature():
-    """G that is known at the points of a quadrature alone is left out: F is looked at."""
+    """If G is known at quadrature points only, F is checked without it."""
     mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (1, 1)], (1, ROWS))
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
     u = dolfinx.fem.Function(V)
@@ -174,7 +176,7 @@ def test_gradient_at_points_of_a_quadrature():
 
 
 def test_form_without_a_deformation():
-    """In a diffusion problem no cell is watched and no warning logged."""
+    """Without a deformation no cells are checked and no warning is logged."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 3, 3)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = dolfinx.fem.Function(V)

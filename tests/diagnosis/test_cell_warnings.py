@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Warnings of bad cells: once, only in accepted states; a diagnosis suggests remedies."""
+"""Warnings of bad cells come once and in accepted states only; a diagnosis has remedies."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from dolfinx_feti.loading import Motion, Steps, TimeSteps, follow_load, follow_t
 
 
 def test_warnings_come_once(caplog):
-    """A strip is compressed more and more: one warning of distorted cells, one of inverted ones."""
+    """A strip compressed further causes one warning of distorted cells and one of inverted ones."""
     strip = Strip()
     for strain, expected in ((SOUND, 0), (DISTORTED, 1), (DISTORTED, 1), (INVERTED, 2)):
         strip.solve(strain)
@@ -36,7 +36,7 @@ def test_warnings_come_once(caplog):
 
 
 def test_inverted_at_once(caplog):
-    """After inverted cells there is no warning of distorted ones."""
+    """After a warning of inverted cells there is none of distorted ones."""
     strip = Strip()
     for strain in (INVERTED, DISTORTED, INVERTED):
         strip.solve(strain)
@@ -47,6 +47,7 @@ def test_inverted_at_once(caplog):
 
 
 def test_a_solve_need_not_look(caplog):
+    """With ``check_cells=False`` a solve does not warn; warn_of_cells does."""
     strip = Strip()
     strip.place(strip.aim, INVERTED)
     strip.place(strip.u, INVERTED)
@@ -57,6 +58,7 @@ def test_a_solve_need_not_look(caplog):
 
 
 def test_load_steps_look_at_what_they_accept(caplog):
+    """Load steps warn of cells in accepted states."""
     strip = Strip()
     seen = []
     follow_load(
@@ -72,7 +74,7 @@ def test_load_steps_look_at_what_they_accept(caplog):
 
 
 def test_time_steps_do_not_look_at_what_they_refuse(caplog):
-    """A step that is too inaccurate is taken again; its inverted cells raise no warning."""
+    """Inverted cells of a rejected time step cause no warning."""
     mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (2, 1)], (2, ROWS))
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
     u = dolfinx.fem.Function(V)
@@ -117,7 +119,7 @@ def lower(x):
 
 @pytest.mark.parametrize(("held", "clamped"), [(None, 0), (left, 2 * ROWS), (lower, 2)])
 def test_diagnosis(held, clamped):
-    """The report has a row for the cells; its advice is another one at a clamp."""
+    """The diagnosis has a row for bad cells, and advice that depends on clamped boundaries."""
     strip = Strip(held=held)
     strip.place(strip.aim, INVERTED)
     strip.place(strip.u, INVERTED)
@@ -134,7 +136,7 @@ def test_diagnosis(held, clamped):
 
 
 def test_advice_on_a_constant_pressure():
-    """For P2–P0 it recommends elements of second order; a sound state gets no advice."""
+    """For inverted P2–P0 cells second-order elements are advised, and nothing if sound."""
     strip = Strip(pressure=True)
     strip.place(strip.u, INVERTED)
     texts = [advice.text for advice in strip.problem.diagnose().advice]
@@ -146,7 +148,7 @@ def test_advice_on_a_constant_pressure():
 
 
 def test_ratio_that_a_user_names(caplog):
-    """If it is no determinant, only its sign is watched; messages have its name."""
+    """A user's volume ratio that is no determinant is checked for its sign, under its name."""
     strip = Strip()
     named = 0.01 - strip.u[0]
     V = strip.u.function_space
@@ -171,7 +173,7 @@ def test_ratio_that_a_user_names(caplog):
 
 
 def test_prestressed_image(caplog):
-    """The volumes of a prestressed strip are those of F G⁻¹, with u = 0."""
+    """Volume ratios of a prestressed strip are those of F G⁻¹, with u = 0."""
     mesh = dolfinx.mesh.create_rectangle(COMM, [(0, 0), (2, 1)], (2, 2))
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
     u = dolfinx.fem.Function(V)

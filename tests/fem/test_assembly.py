@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The torn matrix from a form: the sum over subdomains is dolfinx's own matrix."""
+"""The torn matrix of a form sums over the subdomains to dolfinx's own matrix."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SEED = 27182
 
 @pytest.fixture
 def torn_matrix(lifetime):
-    """Tear a space and assemble on it: the space, the local matrix and the torn one."""
+    """Return a function that tears a space and assembles: the space, local and torn matrix."""
 
     def create(problem, subdomains=5):
         space = tear(problem.V, decompose(problem.V.mesh, subdomains))
@@ -47,7 +47,7 @@ def torn_matrix(lifetime):
 
 
 def entries(A):
-    """Return all entries of a matrix, torn or not, or of dolfinx's own of a form."""
+    """Return all entries of a matrix, torn or not, or of the matrix of a form."""
     if isinstance(A, ufl.Form):
         A = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(A))
         A.assemble()
@@ -58,6 +58,7 @@ def entries(A):
 
 
 def two_components_in_space():
+    """Create a problem with two components in three dimensions."""
     V = dolfinx.fem.functionspace(cube(3, 2), ("Lagrange", 1, (2,)))
     u = ufl.TrialFunction(V)
     v = ufl.TestFunction(V)
@@ -78,9 +79,9 @@ PROBLEMS = {
 
 @each("create", PROBLEMS)
 def test_sum_of_the_subdomains_is_the_assembled_matrix(create, torn_matrix, lifetime):
-    """Coefficients, exterior facets and coordinates included; no Dirichlet dof is touched.
+    """The subdomains' matrices sum to dolfinx's matrix, and K R = 0 without springs.
 
-    Without springs on the boundary, K R = 0 on each subdomain; rotations are those of space.
+    No Dirichlet dof is modified. Rotations are those of space, also for two components.
     """
     problem = create()
     _, _, A = torn_matrix(problem)
@@ -99,7 +100,7 @@ def test_sum_of_the_subdomains_is_the_assembled_matrix(create, torn_matrix, life
 
 
 def test_rotations_follow_the_deformed_body(torn_matrix):
-    """The near kernel with a displacement u is the kernel of ω × (x + u)."""
+    """With a displacement u the near kernel contains the rotations ω × (x + u)."""
     problem = elasticity(cube(3, 2))
     _, _, A = torn_matrix(problem)
     V = problem.V
@@ -116,7 +117,7 @@ def test_rotations_follow_the_deformed_body(torn_matrix):
 
 
 def test_values_are_overwritten_in_shared_memory():
-    """What dolfinx has filled outlives its own matrix, and PETSc's changes are seen there."""
+    """The local matrix shares its values with PETSc, and assembling again overwrites them."""
     problem = poisson(cube(2, 4))
     factor = dolfinx.fem.Constant(problem.V.mesh, 1.0)
     space = tear(problem.V, decompose(problem.V.mesh, 3))
@@ -143,7 +144,7 @@ def test_values_are_overwritten_in_shared_memory():
 
 
 def test_pattern_is_complete(torn_matrix):
-    """A second assembly allocates nothing: all blocks of a cell are there, zeros included."""
+    """A second assembly allocates no entry, as the pattern contains all blocks of a cell."""
     problem = elasticity(cube(3, 2))
     space, K, _ = torn_matrix(problem)
     n = np.unique(space.V_torn.dofmap.list[: problem.V.mesh.topology.index_map(3).size_local]).size
@@ -155,6 +156,7 @@ def test_pattern_is_complete(torn_matrix):
 
 
 def test_dirichlet_dofs_are_those_of_the_conditions(torn_matrix):
+    """The mask of Dirichlet dofs has the prescribed dofs of each condition, by component."""
     problem = elasticity(cube(2, 4), stretched=True)
     V = problem.V
     n = V.dofmap.index_map.size_local
@@ -171,6 +173,7 @@ def test_dirichlet_dofs_are_those_of_the_conditions(torn_matrix):
 
 
 def test_vector_is_assembled_with_the_shares_of_all_processes():
+    """An assembled vector includes the contributions of other processes' cells."""
     problem = elasticity(cube(2, 5), stretched=True)
     form = dolfinx.fem.form(problem.L)
     b = dolfinx.fem.petsc.assemble_vector(form)
@@ -181,7 +184,7 @@ def test_vector_is_assembled_with_the_shares_of_all_processes():
 
 @pytest.mark.parametrize("cell", [Cell.triangle, Cell.quadrilateral, Cell.tetrahedron])
 def test_surface_inside_from_one_side(cell, torn_matrix):
-    """It is dolfinx's own integral over interior facets, of values; ends on the boundary count."""
+    """An integral over one side of inner facets is dolfinx's over both, for continuous values."""
     mesh = cube(3 if cell == Cell.tetrahedron else 2, 4, cell)
     problem = poisson(mesh, degree=2)
     u = ufl.TrialFunction(problem.V)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Kernels of eight cells against dolfinx's matrices, vectors and scalars, to rounding."""
+"""Kernels of eight cells agree with dolfinx's matrices, vectors and scalars to rounding."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ EPS = np.finfo(float).eps
 
 
 def create_kernels(forms: list[ufl.Form], mesh: dolfinx.mesh.Mesh) -> list[Kernel] | None:
-    """Create kernels of forms over all cells, by a new generator."""
+    """Return kernels of forms over all cells, from a new generator."""
     return KernelGenerator().create_kernels(forms, mesh)
 
 
@@ -49,7 +49,7 @@ def curved(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.Mesh:
 
 
 def artery(mesh: dolfinx.mesh.Mesh, degree: int, pressure: tuple) -> list[ufl.Form]:
-    """All forms of a fibre-reinforced wall; fibres, a pressure and a stiffness of each cell."""
+    """Return all forms of a fibre-reinforced wall, with fibres and cellwise coefficients."""
     u = displacement(mesh, degree)
     p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, pressure))
     p.interpolate(lambda x: np.cos(3 * x[0]))
@@ -80,7 +80,7 @@ BODIES: dict[str, Callable[[], list[ufl.Form]]] = {
 @pytest.mark.serial
 @each("body", BODIES)
 def test_kernel_is_the_assembled_form(body):
-    """Energy, residuals and all blocks of the tangent, from one visit of each cell."""
+    """One kernel has dolfinx's energy, residuals and blocks of the tangent."""
     forms = body()
     mesh = forms[-1].arguments()[0].ufl_function_space().mesh
     (kernel,) = create_kernels(forms, mesh)
@@ -97,7 +97,7 @@ ORDERS = {
 
 @each("order", ORDERS)
 def test_functions_of_several_forms(order):
-    """Each form reads its own functions and constants, whichever form names them first."""
+    """Forms in one kernel read their own coefficients, in any order of the forms."""
     mesh = cube(2, 2)
     f = displacement(mesh, 1)
     g = displacement(mesh, 1)
@@ -114,7 +114,7 @@ def test_functions_of_several_forms(order):
 
 
 def test_regions_and_the_rest():
-    """A number with tags is a region; an integral over several numbers belongs to each of them."""
+    """Integrals over tags contribute on their cells only, and on each of several tags."""
     mesh = cube(2, 2)
     u = displacement(mesh, 1)
     cells = np.arange(mesh.topology.index_map(2).size_local, dtype=np.int32)
@@ -135,7 +135,7 @@ def test_regions_and_the_rest():
 
 
 def at_points(mesh: dolfinx.mesh.Mesh, shape: tuple[int, ...]) -> dolfinx.fem.Function:
-    """Values at the points of quadrature of degree 2."""
+    """Return values at the points of quadrature of degree 2."""
     element = basix.ufl.quadrature_element(mesh.topology.cell_name(), value_shape=shape, degree=2)
     f = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, element))
     f.x.array[:] = np.linspace(1.0, 2.0, len(f.x.array))
@@ -146,7 +146,7 @@ def at_points(mesh: dolfinx.mesh.Mesh, shape: tuple[int, ...]) -> dolfinx.fem.Fu
     "what", ["second derivative", "size of cells", "Bessel", "edge element", "quadrature element"]
 )
 def test_what_only_ffcx_compiles(what):
-    """FFCx compiles it; the values in each cell are dolfinx's."""
+    """Forms that the generator does not support are compiled by FFCx, with dolfinx's values."""
     mesh = cube(2, 3)
     u = displacement(mesh, 2)
     f = {
@@ -168,7 +168,7 @@ def test_what_only_ffcx_compiles(what):
 
 
 def test_surfaces_of_cells():
-    """A term on the boundary is added to the values of its cells."""
+    """Exterior facet integrals are added to the values of their cells."""
     u = displacement(cube(3, 2), 1)
     v = ufl.TestFunction(u.function_space)
     du = ufl.TrialFunction(u.function_space)
@@ -178,12 +178,12 @@ def test_surfaces_of_cells():
 
 
 def tensors(forms: list[ufl.Form], mesh: dolfinx.mesh.Mesh) -> Callable[[], list[np.ndarray]]:
-    """Compile forms, and return a function that assembles them cell by cell."""
+    """Return a function that assembles compiled forms cell by cell."""
     return CellwiseForms(forms, mesh, Compiler(COMM)).assemble
 
 
 def test_what_is_no_number_stays_none():
-    """Energy, residual and tangent of an inverted cell are NaN, those of other cells are not."""
+    """An inverted cell has NaN in energy, residual and tangent, and other cells do not."""
     mesh = cube(3, 2)
     energy, F_u, _, K, *_ = artery(mesh, 1, ("DG", 0))
     V = K.arguments()[0].ufl_function_space()
@@ -198,7 +198,7 @@ def test_what_is_no_number_stays_none():
 
 
 def test_values_at_the_time_of_evaluation():
-    """Coefficients, constants and the mesh may change."""
+    """Kernels use the current values of coefficients, constants and coordinates."""
     mesh = cube(2, 2)
     u = displacement(mesh, 1)
     k = dolfinx.fem.Constant(mesh, 2.0)
@@ -216,7 +216,7 @@ WAYS = ["all", "last process", "import"]
 
 @pytest.mark.parametrize("way", WAYS)
 def test_private_parts_of_ffcx_that_have_moved(way, monkeypatch, caplog):
-    """FFCx compiles all forms, with the same values and one warning; no process waits."""
+    """If FFCx has changed, it compiles all forms itself, with one warning."""
     mesh = cube(2, 3)
     u = displacement(mesh, 1)
     v = ufl.TestFunction(u.function_space)
@@ -252,7 +252,7 @@ def test_private_parts_of_ffcx_that_have_moved(way, monkeypatch, caplog):
 
 
 def test_a_form_that_fails_alone_is_no_reason_to_warn(monkeypatch, caplog):
-    """If another form can still be generated, FFCx has not changed."""
+    """One form that cannot be generated causes no warning if others can be."""
     mesh = cube(2, 2)
     u = displacement(mesh, 1)
     generate = generator.import_and_generate

@@ -31,7 +31,7 @@ PARTS = {
 @pytest.mark.serial
 @pytest.mark.parametrize("name", PARTS)
 def test_points(name):
-    """Each vertex and each midpoint is near one of the points, and all are inside."""
+    """The sample points of a cell are inside, near its vertices and edge midpoints."""
     cell = getattr(basix.CellType, name)
     corners = np.asarray(basix.geometry(cell))
     points = sample_points(cell, 2)
@@ -45,7 +45,10 @@ def test_points(name):
 @pytest.mark.parametrize("at_once", [3, 1000])
 @pytest.mark.parametrize("kind", [Cell.triangle, Cell.quadrilateral])
 def test_values_of_a_linear_function(kind, at_once, monkeypatch):
-    """Least and greatest are those at vertices, the mean that at the midpoint, in any portions."""
+    """Extrema of a linear function are at vertices and its mean at the midpoint.
+
+    The number of cells that are evaluated at once does not matter.
+    """
     monkeypatch.setattr(cell_samples, "SAMPLED_CELLS_AT_ONCE", at_once)
     mesh = cube(2, 3, kind)
     x = ufl.SpatialCoordinate(mesh)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Fields condensed cell by cell, against the mixed problem without condensation."""
+"""Fields condensed cell by cell give the solution of the mixed problem."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from dolfinx_feti.problems.forms import FieldEquation, Forms
 
 @pytest.fixture
 def torn_system(lifetime) -> Callable[..., System]:
-    """Tear a block, without a solver."""
+    """Return a function that tears a block, without a solver."""
 
     def create(body: Block, subdomains: int = 5) -> System:
         decomposition = decompose(body.u.function_space.mesh, subdomains)
@@ -59,7 +59,7 @@ def step(system: System) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("kappa", [10.0, 1e5])
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_condensed_step_of_any_element_is_the_mixed_one(element, kappa, torn_system):
-    """Also with several pressures in a cell, and with a dilation whose energy is not quadratic."""
+    """The condensed Newton step is the mixed one, for each element and a nonlinear dilation."""
     body, alone = (block(comm, element, kappa) for comm in (COMM, MPI.COMM_SELF))
     body.deform()
     alone.deform()
@@ -85,7 +85,7 @@ def place(body: Block, values: np.ndarray) -> None:
 @pytest.mark.serial
 @pytest.mark.parametrize("element", ELEMENTS)
 def test_condensed_matrix(element, torn_system):
-    """To rounding it is K_uu − K_up K_pp⁻¹ K_pu, each block as dolfinx assembles it."""
+    """The condensed matrix is K_uu − K_up K_pp⁻¹ K_pu of dolfinx's blocks, to rounding."""
     body = block(COMM, element, 1e3, n=2)
     body.deform()
     system = torn_system(body, 3)
@@ -99,7 +99,7 @@ def test_condensed_matrix(element, torn_system):
 
 @pytest.mark.parametrize("element", ["p2-p0", "q2-p1d", "q2-p1d-p1d"])
 def test_pressures_solve_as_the_mixed_problem(element):
-    """Newton's method with FETI arrives where that of the mixed problem does."""
+    """Newton's method with FETI has the solution of the mixed problem."""
     body, alone = (block(comm, element, 100.0, n=2) for comm in (COMM, MPI.COMM_SELF))
     for other in (body, alone):
         if len(other.fields) == 2:
@@ -114,7 +114,7 @@ def test_pressures_solve_as_the_mixed_problem(element):
 
 
 def test_potential_of_a_nonlinear_dilation(torn_system):
-    """Π(u) has θ = J and p = Ψ′(θ) in each cell; the fields themselves stay as they are."""
+    """Π(u) is evaluated with θ = J and p = Ψ′(θ), and leaves the fields unchanged."""
     body = block(COMM, "p2-p0-p0", 100.0)
     body.deform()
     before = [p.x.array.copy() for p in body.fields]
@@ -132,7 +132,7 @@ def test_potential_of_a_nonlinear_dilation(torn_system):
 
 @pytest.mark.parametrize("kappa", [1e-9, 1e9])
 def test_units_make_no_block_singular(kappa, torn_system):
-    """κ/2 (θ − 1)² + p (J − θ) has pivots that differ by κ²."""
+    """Blocks of κ/2 (θ − 1)² + p (J − θ), with pivots in the ratio κ², are not called singular."""
     body = block(COMM, "p2-p0-p0", kappa)
     body.fields[0].x.array[:] = 1.0
     here = torn_system(body).residual()
@@ -140,7 +140,7 @@ def test_units_make_no_block_singular(kappa, torn_system):
 
 
 def test_processes_without_cells():
-    """If a mesh has one cell, the other processes have empty arrays of the right shapes."""
+    """Processes without cells have empty arrays of the right shapes."""
     mesh = dolfinx.mesh.create_unit_cube(COMM, 1, 1, 1, cell_type=dolfinx.mesh.CellType.hexahedron)
     spaces = [dolfinx.fem.functionspace(mesh, e) for e in (("Lagrange", 2, (3,)), ("DPC", 1))]
     u, p = map(dolfinx.fem.Function, spaces)
@@ -158,7 +158,7 @@ def test_processes_without_cells():
 
 
 def test_multipliers_of_two_pressures_do_not_cancel():
-    """Each field's change counts alone, over the size of its constraint: λ/κ and λ/(2 κ)."""
+    """The changes of two multipliers are measured separately, λ/κ and λ/(2 κ)."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 3, 3)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
     Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
@@ -182,7 +182,7 @@ def test_multipliers_of_two_pressures_do_not_cancel():
 
 
 def test_singular_block_is_refused(torn_system):
-    """More pressures than dilations leave one of them free; the cell and the field are named."""
+    """With more pressures than dilations, the error names the cell and the free field."""
     body = block(COMM, "q2-p1d-p1d", 10.0)
     mesh = body.u.function_space.mesh
     θ = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)), name="θ")
@@ -196,7 +196,7 @@ def test_singular_block_is_refused(torn_system):
 
 
 def test_pressure_that_is_no_number(torn_system):
-    """The residual is then NaN, which Newton's method reports; no block is called singular."""
+    """A pressure of NaN gives a residual of NaN, and no singular block."""
     body = block(COMM, "q2-p1d-p1d", 10.0)
     body.fields[0].x.array[:] = np.nan
     agree(np.isnan(torn_system(body).residual().condensed).any())

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Cutting the mesh, in the same way in every run, and the dof map that tears the space."""
+"""Decompositions of the mesh are reproducible, and their dof map tears the space."""
 
 from __future__ import annotations
 
@@ -39,11 +39,12 @@ every_mesh = each("mesh", MESHES)
 
 
 def cells(mesh):
+    """Return the number of owned cells."""
     return mesh.topology.index_map(mesh.topology.dim).size_local
 
 
 def neighbours(mesh, n):
-    """Graph of owned cells with a common facet: as many common vertices as dimensions."""
+    """Return the graph of owned cells with a common facet, of as many vertices as dimensions."""
     vertices = mesh.topology.connectivity(mesh.topology.dim, 0)
     ends = vertices.offsets[: n + 1]
     incidence = scipy.sparse.csr_array((np.ones(ends[-1]), vertices.array[: ends[-1]], ends))
@@ -54,7 +55,7 @@ def neighbours(mesh, n):
 
 
 def pieces(graph, members):
-    """Number of facet-connected components of some cells."""
+    """Return the number of facet-connected components of some cells."""
     inside = graph[members][:, members]
     return scipy.sparse.csgraph.connected_components(inside, directed=False)[0]
 
@@ -62,6 +63,7 @@ def pieces(graph, members):
 @every_mesh
 @pytest.mark.parametrize("subdomains", [1, 2, 7, 20, "every cell"])
 def test_parts_are_balanced_connected_and_of_the_number_asked_for(mesh, subdomains):
+    """Subdomains are connected, of similar size, and as many as requested."""
     mesh = cube(*mesh)
     n = cells(mesh)
     subdomains = COMM.allreduce(n) if subdomains == "every cell" else subdomains
@@ -85,7 +87,7 @@ def test_parts_are_balanced_connected_and_of_the_number_asked_for(mesh, subdomai
 @pytest.mark.parametrize("processes", [2, 16, 512])
 @pytest.mark.parametrize("each", [1, 2, 7])
 def test_shares_are_in_proportion_to_cells(processes, each):
-    """Processes with similar numbers of cells have equally many subdomains, so that none waits."""
+    """Processes with similar numbers of cells have equally many subdomains."""
     cells = 1000 + np.random.default_rng(SEED).integers(-60, 60, processes)
     agree(np.all(decomposition._shares(each * processes, cells) == each))
     agree(decomposition._shares(8, np.array([300, 100, 0])).tolist() == [6, 2, 0])
@@ -95,7 +97,7 @@ def test_shares_are_in_proportion_to_cells(processes, each):
 @every_mesh
 @pytest.mark.parametrize("dtype", [np.int8, np.int32, np.int64, np.uint16])
 def test_parts_may_be_prescribed(mesh, dtype):
-    """Numbers may be any from zero; a part that facets do not connect is several subdomains."""
+    """Each facet-connected part with a prescribed number is a subdomain."""
     mesh = cube(*mesh)
     n = cells(mesh)
     part = (np.random.default_rng(SEED + COMM.rank).integers(0, 3, n) * 20 + 7).astype(dtype)
@@ -116,6 +118,7 @@ def test_parts_may_be_prescribed(mesh, dtype):
     [("P", 1, None), ("P", 2, None), ("P", 1, "dim"), ("P", 3, "dim"), ("DG", 0, None)],
 )
 def test_torn_dofs_are_pairs_of_subdomain_and_dof(mesh, family, degree, components):
+    """The torn dofs are the pairs of a subdomain and a dof of its cells, each once."""
     if mesh[2] == Cell.prism and family == "P":
         degree = 1  # dolfinx has no dofs inside of facets of two types
     mesh = cube(*mesh)
@@ -142,7 +145,7 @@ def test_torn_dofs_are_pairs_of_subdomain_and_dof(mesh, family, degree, componen
 
 
 def path_graph(*lengths):
-    """Paths of so many cells, not connected with each other."""
+    """Return the graph of disjoint paths with these numbers of cells."""
     ones = [np.ones(n - 1, dtype=np.int8) for n in lengths]
     paths = [scipy.sparse.diags_array([a, a], offsets=[-1, 1]) for a in ones]
     return scipy.sparse.csr_array(scipy.sparse.block_diag(paths))
@@ -159,7 +162,7 @@ def path_graph(*lengths):
     ],
 )
 def test_splinters_join_their_neighbours(part, expected):
-    """A splinter without a neighbour stays, as in a part that is two paths."""
+    """Splinters of a part join a neighbour, except those without one."""
     graph = path_graph(len(part))
     joined = decomposition._join_splinters(graph, np.array(part, dtype=np.int32))
     if expected is not None:
@@ -171,7 +174,7 @@ def test_splinters_join_their_neighbours(part, expected):
 
 @pytest.mark.parametrize("subdomains", [5, 8, 17, 40])
 def test_number_of_subdomains_is_as_asked(subdomains):
-    """On a ring, which the partitioner likes to cut into parts of several pieces."""
+    """A ring has at least the requested subdomains, and exactly those on one process."""
     mesh = tube(around=60)
     alone = mesh.comm.size == 1
     made = whole(np.array([decompose(mesh, subdomains).count]))
@@ -185,7 +188,7 @@ def test_number_of_subdomains_is_as_asked(subdomains):
 
 @pytest.mark.parametrize("components", [1, 3])
 def test_suggested_number(monkeypatch, components):
-    """It gives subdomains of similar size, equally many on each process, at most one per cell."""
+    """The suggested subdomains are of similar size, equally many on each process."""
     mesh = cube(3, 4)
     shape = () if components == 1 else (components,)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, shape))
@@ -205,7 +208,7 @@ def test_suggested_number(monkeypatch, components):
 @pytest.mark.serial
 @pytest.mark.parametrize("processes", [1, 2])
 def test_two_runs_and_two_problems_of_one_run(tmp_path, processes):
-    """Nothing in the environment of the programs helps; the cube is distributed alike, too."""
+    """Two runs, and two problems of one run, have the same decomposition."""
     files = [tmp_path / f"{i}.json" for i in range(2)]
     for file in files:
         finish(start("cut", file, processes=processes))
@@ -219,7 +222,7 @@ def test_two_runs_and_two_problems_of_one_run(tmp_path, processes):
 
 
 def test_seed_of_a_problem():
-    """Another seed gives other subdomains and the same solution; both problem classes take it."""
+    """Another ``seed=`` changes the subdomains and not the solution, of both problem classes."""
     body = block(yeoh, (0.3, 0.1))
     problem = poisson(cube(3, 6))
     nonlinear = NonlinearProblem(body.energy, body.u, body.bcs, subdomains=5, seed=2)
@@ -238,7 +241,7 @@ def test_seed_of_a_problem():
 
 @pytest.mark.serial
 def test_environment_has_the_last_word(monkeypatch):
-    """Variables that the user has set stay; all others are unset afterwards."""
+    """SCOTCH's variables that the user has set are used, and others are unset afterwards."""
     one, other = VARIABLES
     monkeypatch.setenv(one, "4")
     monkeypatch.delenv(other, raising=False)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Which tensor of the forms is a deformation gradient; the unknown may be anything.
+"""The deformation gradient is detected in the forms, whatever the unknown is.
 
 A volume ratio that is found is compared, by its values, with the determinant that is right.
 """
@@ -29,7 +29,7 @@ ONE = ufl.Identity(2)
 
 
 class Fields:
-    """An unknown u, fields that are known, and a time step, on a square."""
+    """An unknown u, known fields, and a time step, on a square."""
 
     def __init__(self):
         self.mesh = cube(2, 2)
@@ -54,25 +54,25 @@ class Fields:
 
 
 def neo_hookean(F):
-    """An energy with a determinant."""
+    """Return an energy that contains a determinant."""
     return ufl.inner(F, F) - 2 * ufl.ln(ufl.det(F))
 
 
 def green_lagrange(F):
-    """An energy of E = (Fᵀ F − I)/2, with no determinant in it."""
+    """Return an energy of E = (Fᵀ F − I)/2, without a determinant."""
     E = (F.T * F - ufl.Identity(F.ufl_shape[0])) / 2
     return ufl.inner(E, E)
 
 
 def axisymmetric(f, w, s=1):
-    """F of a body that is symmetric about the axis x₀ = 0, in the order r, z, θ."""
+    """Return F of a body symmetric about the axis x₀ = 0, in the order r, z, θ."""
     H = s * ufl.grad(w)
     hoop = s * w[0] / f.x[0]
     return ufl.as_matrix([[1 + H[0, 0], H[0, 1], 0], [H[1, 0], 1 + H[1, 1], 0], [0, 0, 1 + hoop]])
 
 
 def hoop_in_the_middle(f):
-    """The same in the order r, θ, z, of a velocity."""
+    """Return F of an axisymmetric velocity, in the order r, θ, z."""
     w = f.dt * f.u
     row_r, row_z = ([w[i].dx(0), 0, w[i].dx(1)] for i in (0, 1))
     F = [[1 + row_r[0], *row_r[1:]], [0, 1 + w[0] / f.x[0], 0], [*row_z[:2], 1 + row_z[2]]]
@@ -85,7 +85,7 @@ def by_indices(f):
 
 
 def through_the_last(f):
-    """F = (I + Grad w F_n⁻¹) F_n."""
+    """Return F = (I + Grad w F_n⁻¹) F_n."""
     F_n = ONE + ufl.grad(f.last)
     return (ONE + ufl.grad(f.u) * ufl.inv(F_n)) * F_n
 
@@ -120,6 +120,7 @@ def _in_space(F):
 @pytest.mark.parametrize("density", [neo_hookean, green_lagrange])
 @pytest.mark.parametrize("name", GRADIENTS)
 def test_volume_ratio_is_that_of_the_forms(name, density, way):
+    """The detected volume ratio is det F, in an energy and in a residual."""
     f = Fields()
     create, factor = GRADIENTS[name]
     F = create(f)
@@ -134,7 +135,7 @@ def test_volume_ratio_is_that_of_the_forms(name, density, way):
 
 
 def test_stress_by_differentiation():
-    """P = ∂Ψ/∂F of F = I + Δt Grad v, in a residual by hand."""
+    """F = I + Δt Grad v is detected in a residual with P = ∂Ψ/∂F."""
     f = Fields()
     F = ufl.variable(ONE + f.dt * ufl.grad(f.u))
     P = ufl.diff(neo_hookean(F), F)
@@ -145,7 +146,7 @@ def test_stress_by_differentiation():
 @pytest.mark.parametrize("factor", [1.0, STEP])
 @pytest.mark.parametrize("half", [0.5, 1.0])
 def test_strain_without_a_gradient_in_it(half, factor):
-    """E = c (H + Hᵀ + Hᵀ H) has F = I + H, though I + H stands nowhere."""
+    """F = I + H is detected in E = c (H + Hᵀ + Hᵀ H), which does not contain I + H."""
     f = Fields()
     H = factor * ufl.grad(f.u)
     E = half * (2 * ufl.sym(H) + H.T * H)
@@ -154,7 +155,7 @@ def test_strain_without_a_gradient_in_it(half, factor):
 
 
 def test_several_gradients():
-    """The least determinant counts: of the midpoint and of the end."""
+    """The volume ratio is the least determinant, as of the midpoint and the end of a step."""
     f = Fields()
     half = ONE + ufl.grad((f.last + f.u) / 2)
     end = ONE + ufl.grad(f.u)
@@ -164,7 +165,7 @@ def test_several_gradients():
 
 
 def test_relative_to_the_last_state():
-    """Both F and its increment, which is inverted in the forms, stay regular."""
+    """The determinants of F and of its increment, which the forms invert, are both watched."""
     f = Fields()
     F = through_the_last(f)
     ratio = find_volume_ratio([neo_hookean(F) * ufl.dx], f.u)
@@ -173,7 +174,7 @@ def test_relative_to_the_last_state():
 
 
 def test_elastic_part():
-    """With F G⁻¹ of a prestressed image or of growth, F is watched and F G⁻¹ is looked at."""
+    """With F G⁻¹ in the forms, F is watched in the solve and F G⁻¹ in the cell check."""
     f = Fields()
     F = ONE + ufl.grad(f.u)
     for E in (F * ufl.inv(f.G), ufl.variable(F) * ufl.inv(f.G), F / f.G[0, 0]):
@@ -200,12 +201,14 @@ NONE = {
 
 @pytest.mark.parametrize("name", NONE)
 def test_nothing_is_certain(name):
+    """In forms without finite strains no volume ratio is detected."""
     f = Fields()
     form = NONE[name](f, ufl.TestFunction(f.V)) * ufl.dx
     agree(find_volume_ratio([form], f.u) is None, name)
 
 
 def test_factor_follows_the_time_step():
+    """The factor of the gradient is the present time step."""
     f = Fields()
     form = neo_hookean(ONE + f.dt * ufl.grad(f.u)) * ufl.dx
     factor = GradientFactor(find_volume_ratio([form], f.u))
@@ -215,7 +218,7 @@ def test_factor_follows_the_time_step():
 
 
 def test_volume_ratio_that_a_user_names():
-    """A determinant of F has a size; another expression has a sign alone."""
+    """A user's volume ratio that is a determinant has a size, and any other one only a sign."""
     f = Fields()
     named = volume_ratio_of_expression(ufl.det(ONE + f.dt * ufl.grad(f.u)), f.u)
     agree(named.is_determinant)
@@ -224,6 +227,7 @@ def test_volume_ratio_that_a_user_names():
 
 
 def test_volume_ratio_that_is_none():
+    """A volume ratio that is a number or a tensor is refused."""
     f = Fields()
     with raises(TypeError, "volume_ratio is 1.0: give an expression"):
         volume_ratio_of_expression(1.0, f.u)
@@ -232,7 +236,7 @@ def test_volume_ratio_that_is_none():
 
 
 def shorten(w, F, scale):
-    """Return the problem of a bar that is shortened by 0.4 of 2, w being u over ``scale``."""
+    """Return the problem of a bar of length 2 that is shortened by 0.4; w is u over ``scale``."""
     V = w.function_space
 
     def shortening(x):
@@ -248,7 +252,7 @@ def shorten(w, F, scale):
 
 @pytest.mark.parametrize("step", [1e-6, 0.1, 10.0, 1e6])
 def test_velocity_gives_the_displacement(step):
-    """Δt v is u, whatever the unit of time; det(I + Grad v) would be −3 or 1."""
+    """With a velocity v as the unknown, det(I + Δt Grad v) is watched in any unit of time."""
     V = dolfinx.fem.functionspace(cube(2, 4), ("Lagrange", 1, (2,)))
     u = dolfinx.fem.Function(V)
     v = dolfinx.fem.Function(V)
@@ -259,7 +263,7 @@ def test_velocity_gives_the_displacement(step):
 
 
 def test_inversion_of_a_velocity_is_seen():
-    """Δt = 10: det F = −1 where det(I + Grad v) = 0.8; the message names the remedy."""
+    """With a velocity, inverted cells are detected for Δt = 10, and the message has the remedy."""
     V = dolfinx.fem.functionspace(cube(2, 4), ("Lagrange", 1, (2,)))
     v = dolfinx.fem.Function(V)
     problem = shorten(v, ONE + 10.0 * ufl.grad(v), 10.0)

@@ -20,7 +20,7 @@ DIMENSIONS = {("triangle", True): 7, ("tetrahedron", True): 15, ("tetrahedron", 
 
 @pytest.mark.parametrize("kind", DIMENSIONS)
 def test_functions(kind):
-    """They contain the quadratic functions and all bubbles, and nothing else."""
+    """The elements contain the quadratic functions and all bubbles, and nothing else."""
     cell, faces = kind
     element = quadratic_with_bubbles(cell, faces=faces)
     x = basix.make_quadrature(element.cell_type, 8)[0]
@@ -37,7 +37,7 @@ def test_functions(kind):
 
 @pytest.mark.parametrize("kind", DIMENSIONS)
 def test_continuity(kind):
-    """A function of random dofs has no jumps."""
+    """A function of random dofs has no jumps between cells."""
     cell, faces = kind
     mesh = dolfinx.mesh.create_unit_square(COMM, 3, 3)
     if cell == "tetrahedron":
@@ -53,5 +53,6 @@ def test_continuity(kind):
 
 
 def test_other_cells():
+    """Cells without bubbles are refused."""
     with raises(ValueError, "cell is 'hexahedron': bubbles are made for"):
         quadratic_with_bubbles("hexahedron")

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""One side of interior facets, for any numbering of the cells."""
+"""``one_side`` selects one side of interior facets, for any numbering of the cells."""
 
 from __future__ import annotations
 
@@ -61,12 +61,12 @@ class Shape:
 
 
 def box(x: Points, dim: int, at: float = 0.5, half: float = 0.25) -> Points:
-    """Distance from the rim of a square or cube around (at, …)."""
+    """Return the signed distance from the rim of a square or cube around (at, …)."""
     return np.max(np.abs(x[:dim] - at), axis=0) - half
 
 
 def two(x: Points) -> Points:
-    """Distance from the rims of two squares of a quarter's length."""
+    """Return the signed distance from the rims of two squares of length 1/4."""
     return np.minimum(box(x, 2, 0.25, 0.125), box(x, 2, 0.75, 0.125))
 
 
@@ -109,7 +109,7 @@ over_ghosts = pytest.mark.parametrize(
 
 
 def integrals(shape: Shape, ghosts: Ghosts, side: str | None = None) -> tuple[float, float]:
-    """Return ∫ k ds and ∫ ds over the surface; k jumps across it."""
+    """Return ∫ k ds and ∫ ds over the surface, for a k that jumps across it."""
     mesh, facets, cells = shape.parts(ghosts)
     tdim = mesh.topology.dim
     k = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
@@ -129,6 +129,7 @@ def integrals(shape: Shape, ghosts: Ghosts, side: str | None = None) -> tuple[fl
 @over_ghosts
 @pytest.mark.parametrize("name", [name for name in SHAPES if name != "patch"])
 def test_without_a_named_side_the_cells_inside_or_below_count(name, ghosts):
+    """Without ``side`` the cells inside a closed surface are chosen, or below an open one."""
     stiffness, size = integrals(SHAPES[name], ghosts)
     small(size / SHAPES[name].size - 1.0, 1e-12)
     small(stiffness / size - INSIDE, 1e-12)
@@ -137,7 +138,7 @@ def test_without_a_named_side_the_cells_inside_or_below_count(name, ghosts):
 @pytest.mark.processes(1, 2, 3)
 @over_ghosts
 def test_a_patch_has_one_normal(ghosts):
-    """The patch is a surface that does not divide the mesh."""
+    """On a surface that does not divide the mesh, all normals point to the same side."""
     mesh, facets, _ = SHAPES["patch"].parts(ghosts)
     ds = ufl.Measure("ds", mesh, subdomain_data=[(1, one_side(mesh, facets))])
     n = ufl.FacetNormal(mesh)
@@ -150,6 +151,7 @@ def test_a_patch_has_one_normal(ghosts):
 @pytest.mark.parametrize(("side", "expected"), [("inside", INSIDE), ("outside", OUTSIDE)])
 @pytest.mark.parametrize("name", ["square", "cube", "tetrahedra-z"])
 def test_a_named_side_counts(name, side, expected, ghosts):
+    """``side`` chooses the cells that are integrated."""
     stiffness, size = integrals(SHAPES[name], ghosts, side)
     small(size / SHAPES[name].size - 1.0, 1e-12)
     small(stiffness / size - expected, 1e-12)
@@ -158,7 +160,7 @@ def test_a_named_side_counts(name, side, expected, ghosts):
 @pytest.mark.processes(1, 2, 3)
 @over_ghosts
 def test_facets_that_branch(ghosts):
-    """Triangles: two corners of the square are cut off by facets inside of it."""
+    """Facets that branch are refused, also with a side, unless any side is allowed."""
     shape = Shape(Cell.triangle, lambda x: box(x, 2), 2.0 + 2.0 * np.hypot(0.125, 0.125))
     mesh, facets, cells = shape.parts(ghosts)
     with raises(ValueError, "facets branch: .* at 4 places.*locate_entities.*Name the side"):
@@ -171,6 +173,7 @@ def test_facets_that_branch(ghosts):
 
 
 def test_sides_that_are_none():
+    """A side without cells at the facets, or of another type, is refused."""
     mesh, facets, _ = SHAPES["square"].parts()
     with raises(ValueError, "side has both cells at 0 facets and none at 16 others"):
         one_side(mesh, facets, np.zeros(0, dtype=np.int32))
@@ -179,7 +182,7 @@ def test_sides_that_are_none():
 
 
 def test_a_strip_with_one_side():
-    """Three facets in a ring; each turns once around, or one of them is twisted."""
+    """A ring of facets has two sides, and a twisted one has one."""
     ridge = np.array([[0, 1], [1, 2], [2, 0]])
     direction = np.array([[-1.0, 1.0]] * 3)
     label = _side_labels(ridge, direction)
@@ -190,7 +193,7 @@ def test_a_strip_with_one_side():
 
 
 def test_a_surface_in_a_mesh_that_is_one():
-    """The sides follow from cells, not from normals."""
+    """In a surface mesh the side has to be named by cells, as normals are ambiguous."""
     solid = dolfinx.mesh.create_unit_cube(COMM, 2, 2, 2)
     bottom = dolfinx.mesh.locate_entities_boundary(solid, 2, lambda x: np.isclose(x[2], 0.0))
     mesh = dolfinx.mesh.create_submesh(solid, 2, bottom)[0]

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""A pressure that is neither condensed nor an unknown is named; data that look alike are not."""
+"""A forgotten pressure, neither condensed nor an unknown, is named; similar data are accepted."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ ELEMENTS = [
 
 @pytest.mark.parametrize("kind", PRESSURES)
 def test_forgotten_pressure(kind):
-    """It is found however the form is written; with ``condense=`` the same form is accepted."""
+    """A pressure without ``condense=`` is an error in each spelling of the form."""
     body = Body()
     p = body.field()
     energy = (body.shear + PRESSURES[kind](body, p)) * ufl.dx
@@ -80,7 +80,7 @@ def test_forgotten_pressure(kind):
 @pytest.mark.parametrize(("dim", "cell", "element"), ELEMENTS)
 @pytest.mark.parametrize("way", ["energy", "residual", "energy beside a residual", "sum"])
 def test_forgotten_pressure_of_any_element(dim, cell, element, way):
-    """As an energy, as UFL's derivative of one, and beside other integrals."""
+    """A forgotten pressure of any element is an error, in an energy and its derivatives."""
     body = Body(dim, cell)
     p = body.field(element)
     v = ufl.TestFunction(body.V)
@@ -98,7 +98,7 @@ def test_forgotten_pressure_of_any_element(dim, cell, element, way):
 
 
 def test_forgotten_fields_of_a_three_field_energy():
-    """The dilation, whose term has no u, and the multiplier that ties it to u."""
+    """A forgotten dilation and its multiplier are both named."""
     body = Body()
     p = body.field()
     dilation = body.field(name="dilation", value=1.0)
@@ -110,7 +110,7 @@ def test_forgotten_fields_of_a_three_field_energy():
 
 
 def test_warnings_instead(caplog):
-    """There is a warning for a pressure with values, and for one that cannot be condensed."""
+    """A pressure with values, or one that cannot be condensed, causes a warning only."""
     body = Body()
     p = body.field(value=0.3)
     body.problem((body.shear + PRESSURES["package"](body, p)) * ufl.dx)
@@ -128,7 +128,7 @@ def strain_energy(e):
 
 
 def eigenstrain(b, T):
-    """Elastic energy of what a temperature leaves."""
+    """Return the elastic energy of a strain from which a thermal strain is subtracted."""
     return strain_energy(b.e - 1e-3 * T * ufl.Identity(b.dim))
 
 
@@ -172,7 +172,7 @@ def test_data_are_left_alone(kind, value, element, caplog):
 
 
 def test_fields_that_a_solve_changes(caplog):
-    """Internal variables, and functions that before_assembly sets, cause no warning."""
+    """Internal variables, and functions set by ``before_assembly``, cause no warning."""
     body = Body()
     p = body.field()
     energy = (body.shear + PRESSURES["package"](body, p)) * ufl.dx
@@ -186,7 +186,7 @@ def test_fields_that_a_solve_changes(caplog):
 
 
 def test_forgotten_on_some_values():
-    """One process may have zeros alone: all raise or none."""
+    """A pressure with nonzero values on one process only is an error on none."""
     body = Body()
     p = body.field(value=0.3 if COMM.rank == 0 else 0.0)
     body.problem((body.shear + PRESSURES["package"](body, p)) * ufl.dx)

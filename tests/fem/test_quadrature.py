@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Quadrature degrees: estimates, and an energy integrated by the rule of its residual."""
+"""Quadrature degrees are bounded, and an energy has the rule of its residual."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from dolfinx_feti.problems.forms import derive
 
 
 def unknown(cell: Cell = Cell.triangle, degree: int = 2) -> dolfinx.fem.Function:
-    """A displacement that is far from linear in each cell."""
+    """Return a displacement that is far from linear in each cell."""
     V = dolfinx.fem.functionspace(cube(2, 2, cell), ("Lagrange", degree, (2,)))
     u = dolfinx.fem.Function(V)
     u.interpolate(lambda x: 0.1 * np.stack([np.sin(4 * x[1]) * x[0], x[1] * np.cos(5 * x[0])]))
@@ -44,7 +44,7 @@ def integral(form: ufl.Form) -> float:
 
 @pytest.mark.parametrize("cell", [Cell.triangle, Cell.quadrilateral])
 def test_energy_falls_as_its_residual_says(cell):
-    """Π'(u) w by differences against r·w, both as they are integrated."""
+    """Differences of the energy agree with the residual, both as they are integrated."""
     u = unknown(cell)
     w = dolfinx.fem.Function(u.function_space)
     w.interpolate(lambda x: np.stack([x[0] * x[1], np.cos(3 * x[0])]))
@@ -70,7 +70,7 @@ def test_energy_falls_as_its_residual_says(cell):
 
 
 def test_degrees_that_are_stated_stay():
-    """Degrees of an energy stay; those of a residual are also those of the energy given with it."""
+    """Stated degrees are kept; those of a residual also apply to its energy."""
     u = unknown()
     v = ufl.TestFunction(u.function_space)
     stated = density(u) * ufl.dx(metadata={"quadrature_degree": 3})
@@ -80,7 +80,7 @@ def test_degrees_that_are_stated_stay():
 
 
 def test_each_part_of_the_domain_has_its_own():
-    """FFCx does not mix dx, dx(1) and ds either; what has no residual is left alone."""
+    """Each part of the domain has its own degree, dx, dx(1) and ds included."""
     u = unknown()
     v = ufl.TestFunction(u.function_space)
     one = dolfinx.fem.Constant(u.function_space.mesh, 1.0)
@@ -107,7 +107,7 @@ def test_each_part_of_the_domain_has_its_own():
 @pytest.mark.parametrize("kind", [int, np.int32, np.int64])
 @pytest.mark.parametrize("cell", [Cell.triangle, Cell.quadrilateral])
 def test_a_bound_holds_on_curved_cells(cell, kind):
-    """The estimate has the degree of det ∂x/∂ξ in it; a stated degree of any integer type stays."""
+    """The bound holds on curved cells, and a stated degree of any integer type is kept."""
     mesh = bent(cube(2, 2, cell))
     u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2)))
     for energy in (u**2, ufl.inner(ufl.grad(u), ufl.grad(u)), ufl.exp(u)):
@@ -119,7 +119,7 @@ def test_a_bound_holds_on_curved_cells(cell, kind):
 
 
 def highest(form: ufl.Form) -> int:
-    """The degree by which FFCx integrates."""
+    """Return the highest degree by which FFCx integrates a form."""
     data = ufl.algorithms.compute_form_data(
         form, do_apply_integral_scaling=True, do_append_everywhere_integrals=False
     )
@@ -130,13 +130,13 @@ def highest(form: ufl.Form) -> int:
 
 
 def degrees_of(form: ufl.Form) -> set[int]:
-    """Return the degrees that FFCx integrates a form with."""
+    """Return the degrees by which FFCx integrates a form."""
     return set(quadrature_degrees(form).values())
 
 
 @pytest.mark.parametrize("kind", ["residual", "energy", "given"])
 def test_a_derived_tangent_has_the_degrees_of_its_residual(kind):
-    """For each type of integral and part; the residual keeps those that dolfinx takes."""
+    """A derived tangent has its residual's degrees, on each type and part of the domain."""
     u = unknown()
     V = u.function_space
     mesh = u.function_space.mesh
@@ -159,7 +159,7 @@ def test_a_derived_tangent_has_the_degrees_of_its_residual(kind):
 
 
 def test_an_energy_with_a_pressure_has_one_rule():
-    """K_up and K_pu are transposes of each other: all residuals have the same degrees."""
+    """All residuals of an energy have one degree, so that K_up and K_pu are transposes."""
     u = unknown()
     p = dolfinx.fem.Function(dolfinx.fem.functionspace(u.function_space.mesh, ("DG", 0)))
     energy = (density(u) + p * (ufl.det(ufl.Identity(2) + ufl.grad(u)) - 1) - p**2 / 20) * ufl.dx
@@ -170,7 +170,7 @@ def test_an_energy_with_a_pressure_has_one_rule():
 
 
 def test_parts_of_one_integral_have_degrees_of_their_own():
-    """An integral over two parts becomes two where their degrees differ; the sum stays."""
+    """An integral over two parts is split if their degrees differ, with the same sum."""
     u = unknown()
     mesh = u.function_space.mesh
     n = mesh.topology.index_map(2).size_local
@@ -188,7 +188,7 @@ def test_parts_of_one_integral_have_degrees_of_their_own():
 
 
 def test_data_at_quadrature_points_state_their_degree():
-    """FFCx integrates them by their own rule, and the derivative without them has its degree."""
+    """Data at quadrature points set the degree of the residual and of its derivative."""
     u = unknown()
     mesh = u.function_space.mesh
     v = ufl.TestFunction(u.function_space)

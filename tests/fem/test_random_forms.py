@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Random forms against dolfinx's own matrices, vectors and scalars, entry by entry."""
+"""Random forms agree with dolfinx's matrices, vectors and scalars, entry by entry."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ JIT = {"cffi_extra_compile_args": ["-O0", "-g0"]}
 
 
 def dofs(m: dolfinx.common.IndexMap, bs: int) -> np.ndarray:
-    """Global number of each dof of this process, ghosts included."""
+    """Return the global number of each dof of this process, ghosts included."""
     blocks = m.local_to_global(np.arange(m.size_local + m.num_ghosts, dtype=np.int32))
     return (blocks[:, None] * bs + np.arange(bs)).ravel()
 
 
 def added(values: np.ndarray, V: dolfinx.fem.FunctionSpace, *at: np.ndarray) -> np.ndarray:
-    """Add the vectors or matrices of all processes, with global dofs in place of local ones."""
+    """Return vectors or matrices of all processes, summed at their global dofs."""
     n = V.dofmap.index_map.size_global * V.dofmap.index_map_bs
     total = np.zeros((n,) * values.ndim)
     np.add.at(total, np.ix_(*at), values)
@@ -38,12 +38,12 @@ def added(values: np.ndarray, V: dolfinx.fem.FunctionSpace, *at: np.ndarray) -> 
 
 
 def dense(A: dolfinx.la.MatrixCSR, rows: int, columns: int) -> np.ndarray:
-    """Return all entries of this process, those of ghosts' rows included."""
+    """Return all entries of this process, those of ghost rows included."""
     return scipy.sparse.csr_array((A.data, A.indices, A.indptr), shape=(rows, columns)).toarray()
 
 
 def of_dolfinx(form: ufl.Form, V: dolfinx.fem.FunctionSpace) -> np.ndarray:
-    """Assemble by dolfinx: a scalar, a vector or a matrix, whole."""
+    """Return the scalar, vector or matrix that dolfinx assembles."""
     compiled = dolfinx.fem.form(form, jit_options=dict(JIT))
     bs = V.dofmap.index_map_bs
     match len(form.arguments()):
@@ -61,7 +61,7 @@ def of_dolfinx(form: ufl.Form, V: dolfinx.fem.FunctionSpace) -> np.ndarray:
 
 
 def torn(form: ufl.Form, V: dolfinx.fem.FunctionSpace) -> tuple[np.ndarray, int]:
-    """Assemble by this package, and count the kernels."""
+    """Return what this package assembles, and the number of kernels."""
     mesh = V.mesh
     compiler = Compiler(COMM, None, dict(JIT))
     bs = V.dofmap.index_map_bs
@@ -83,7 +83,7 @@ def torn(form: ufl.Form, V: dolfinx.fem.FunctionSpace) -> tuple[np.ndarray, int]
 
 @pytest.mark.parametrize("batch", range(10 if COMM.size == 1 else 2))
 def test_same_numbers_as_dolfinx(batch):
-    """Thirty forms, to 1e-12 of the largest entry; some of them by the package's own kernels."""
+    """Thirty random forms agree with dolfinx to 1e-12 of the largest entry."""
     own = 0
     for seed in range(30 * batch, 30 * (batch + 1)):
         drawn = Grammar(seed)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Integrands as data: which values are equal, and what another material costs."""
+"""Integrands as data: equal values are recognised, and a new material compiles nothing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Expr = ufl.core.expr.Expr
 
 
 def test_order_and_sign_make_no_other_value():
-    """A b + c = c + b a; −(a − b) = b − a; a (−b) c = −(c a) b."""
+    """Order and sign do not matter: a b + c = c + b a, −(a − b) = b − a."""
     tape = Tape()
     a, b, c = (tape.apply("constant", integers=[i]) for i in range(3))
     agree(tape.add(tape.multiply(a, b), c) == tape.add(c, tape.multiply(b, a)))
@@ -38,7 +38,7 @@ def test_order_and_sign_make_no_other_value():
 
 
 def test_numbers_are_values_of_their_own():
-    """Powers of two, of either sign, and their products with others."""
+    """All powers of two, of either sign, and their products are different values."""
     tape = Tape()
     a = tape.apply("constant", integers=[0])
     values = {e: tape.number(2.0**e) for e in range(-1074, 1024)}
@@ -50,7 +50,7 @@ def test_numbers_are_values_of_their_own():
 
 
 def test_a_number_with_the_key_of_another_is_no_other(monkeypatch):
-    """In a field of 2⁶¹ − 1 elements, 2⁶¹ is one: the tape takes them for two values."""
+    """Numbers that are equal in the field of 2⁶¹ − 1 elements remain different values."""
     monkeypatch.setattr(tape_module, "PRIME", 2**61 - 1)
     for pair in ((512.0, 2.0**-52), (1.0, -(2.0**61))):
         tape = Tape()
@@ -60,7 +60,7 @@ def test_a_number_with_the_key_of_another_is_no_other(monkeypatch):
 
 
 def test_numbers_that_differ_are_no_common_factor():
-    """∫ 512 x + 2⁻⁵² c y = 256.5 in the unit cube, with c = 2⁵²."""
+    """Coefficients of very different size are not merged: ∫ 512 x + 2⁻⁵² c y = 256.5, c = 2⁵²."""
     mesh = cube(3, 2, Cell.tetrahedron)
     x = ufl.SpatialCoordinate(mesh)
     c = dolfinx.fem.Constant(mesh, 2.0**52)
@@ -72,7 +72,7 @@ def test_numbers_that_differ_are_no_common_factor():
 
 
 def fibres(u: dolfinx.fem.Function, k: Expr | float) -> Expr:
-    """Two families that do not push, in a matrix that keeps its volume."""
+    """Return the energy of two fibre families without compression, in a matrix."""
     d = len(u)
     F = ufl.Identity(d) + ufl.grad(u)
     J = ufl.det(F)
@@ -86,7 +86,7 @@ def fibres(u: dolfinx.fem.Function, k: Expr | float) -> Expr:
 
 
 def rubber(u: dolfinx.fem.Function, k: Expr | float) -> Expr:
-    """Other functions of other invariants, with terms on both sides of a branch."""
+    """Return an energy with other invariants, and with terms on both sides of a branch."""
     F = ufl.Identity(len(u)) + ufl.grad(u)
     C = F.T * F
     J = ufl.det(F)
@@ -107,7 +107,7 @@ def derivatives(psi: Expr, u: dolfinx.fem.Function, quadrature: int) -> list[ufl
 
 @pytest.mark.parametrize("energy", [fibres, rubber])
 def test_second_derivatives_are_symmetric(energy):
-    """45 factors replace 81, without a search for symmetry."""
+    """Symmetric second derivatives have 45 factors instead of 81."""
     u = displacement(cube(3, 2), 1)
     _, _, tangent = derivatives(energy(u, 2.0), u, 2)
     data = ufl.algorithms.compute_form_data(tangent, do_apply_default_restrictions=False)
@@ -121,7 +121,7 @@ def test_second_derivatives_are_symmetric(energy):
 
 
 def test_long_sums():
-    """As deep as UFL's are: 600 terms, each inside of the sum of the next ones."""
+    """A sum of 600 nested terms is compiled to one factor, without a recursion error."""
     u = displacement(cube(2, 2), 1)
     point = PointIntegrands(u.function_space.mesh, [u], [])
     terms = [ufl.exp(1e-3 * k * u[0]) for k in range(600)]
@@ -134,7 +134,7 @@ def test_long_sums():
 
 @pytest.mark.parametrize("cell", [Cell.tetrahedron, Cell.quadrilateral])
 def test_another_material_compiles_nothing(cell, monkeypatch):
-    """Numbers, constants and functions are data; values are dolfinx's, to rounding."""
+    """Another material compiles nothing, and its kernels have dolfinx's values."""
     mesh = cube(3 if cell == Cell.tetrahedron else 2, 2, cell)
     u = displacement(mesh, 2)
     k = dolfinx.fem.Constant(mesh, 3.5)

@@ -105,7 +105,7 @@ def in_another_space(block: Block) -> ufl.Form:
     ],
 )
 def test_creep_of_another_spelling(dashpot: Callable[[Block], ufl.Form]):
-    """The creep is that of u itself; a dashpot whose last state stays would be a spring."""
+    """Creep depends neither on the spelling of a dashpot's displacement nor on its last space."""
     block = Block()
     other = Block()
     expected = block.creep(block.dashpot())
@@ -163,7 +163,7 @@ def test_restart_with_the_dashpot_of_a_sum(tmp_path: Path, rtol: float | None):
 
 
 def test_a_cell_of_a_notebook_that_runs_again():
-    """A motion ignores dashpots that are no longer in the forms, and advances those that are."""
+    """A motion ignores a dashpot that is not in the forms, and sets the time step of others."""
     block = Block()
     motion = Motion(block.u, 1e-3)
     block.dashpot(time_step=0.1)  # of the first run of the cell

@@ -190,7 +190,7 @@ def test_least_increment(create_fake_problem, start, target, first, least, last)
     ],
 )
 def test_remedy_fits_the_failure(create_fake_problem, error, match):
-    """Smaller increments are not recommended at limit points and for unsupported bodies."""
+    """The remedy fits the failure: smaller increments, unless the error has its own remedy."""
 
     def fails(before: float, load: float) -> bool:
         if load > 0.5:

@@ -104,7 +104,7 @@ def fixed(dt: float) -> TimeSteps:
 
 @pytest.mark.processes(1, 2)
 def test_pulse():
-    """In the quarter of a tube, with dashpots: each equation, assembled by dolfinx alone."""
+    """In a pulsating tube with dashpots each generalised-α equation holds, assembled by dolfinx."""
     dt = 5e-5
     dashpot = 5e-3
     rho = 0.8

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Pressures that follow a surface, on one face of a square or a cube."""
+"""Pressures that follow a surface: tangents, potentials and volumes on a square and a cube."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PRESSURE = 1.7
 
 @functools.cache
 def cube(dim):
-    """Unit cube or square, a P2 space, a measure whose tag 1 is the face x = 0."""
+    """Return a P2 space on the unit cube or square, and a measure whose tag 1 is the face x = 0."""
     mesh = problems.cube(dim, 2)
     ds = tagged(mesh, left)(metadata={"quadrature_degree": 6})
     return dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (dim,))), ds
@@ -39,7 +39,7 @@ def function(V, f):
 
 
 def bulge(x):
-    """A displacement of everything, rims included."""
+    """Return a displacement of everything, rims included."""
     y = 0.3 * np.cos(x[1]) + 0.1 * x[0]
     return [0.2 * x[1] ** 2 - 0.1 * x[2] * x[0], y, 0.2 * x[0] * x[2] - 0.1 * x[1]]
 
@@ -53,7 +53,7 @@ def twist(x):
 
 
 def within(x, dim):
-    """Zero on the rim of the face x = 0."""
+    """Return a displacement that is zero on the rim of the face x = 0."""
     return x[1] * (1 - x[1]) * (x[2] * (1 - x[2]) if dim == 3 else 1)
 
 
@@ -61,6 +61,7 @@ dims = pytest.mark.parametrize("dim", [2, 3])
 
 
 def test_mmhg():
+    """1 mmHg is 0.1333223684 kPa."""
     assert loads.mmhg(1) == pytest.approx(0.1333223684, rel=1e-9)
     assert loads.mmhg(760) == pytest.approx(101.325, rel=1e-15)
     assert loads.mmhg(0) == 0
@@ -68,7 +69,7 @@ def test_mmhg():
 
 @dims
 def test_nanson(dim):
-    """cof(F) = J F⁻ᵀ."""
+    """Nanson's formula holds, cof(F) = J F⁻ᵀ."""
     V, ds = cube(dim)
     u = function(V, bulge)
     v = function(V, wave)
@@ -81,6 +82,7 @@ def test_nanson(dim):
 
 @dims
 def test_full_tangent_by_finite_differences(dim):
+    """The full tangent is the derivative of the pressure's residual."""
     V, ds = cube(dim)
     u, d, w = (function(V, f) for f in (bulge, wave, twist))
     v = ufl.TestFunction(V)
@@ -99,6 +101,7 @@ def test_full_tangent_by_finite_differences(dim):
 
 @dims
 def test_symmetric_tangent(dim):
+    """The symmetric tangent is the symmetric part of the full one."""
     V, ds = cube(dim)
     u, d, w = (function(V, f) for f in (bulge, wave, twist))
     v = ufl.TestFunction(V)
@@ -113,6 +116,7 @@ def test_symmetric_tangent(dim):
 
 
 def end(k):
+    """Return a marker of the two faces normal to an axis."""
     return lambda x: np.isclose(x[k], 0) | np.isclose(x[k], 1)
 
 
@@ -130,7 +134,7 @@ def chosen(V, ds, p=PRESSURE, bcs=None):
 
 @dims
 def test_kind_follows_from_the_rim(dim):
-    """The face x = 0 with all of its rim held, a part of it, or none; and sliding in planes."""
+    """``auto`` chooses the symmetric tangent if the whole rim is clamped or slides in planes."""
     V, ds = cube(dim)
     across = range(1, dim)
     clamped = [dirichlet(V, end(k)) for k in across]
@@ -146,6 +150,7 @@ def test_kind_follows_from_the_rim(dim):
 
 @dims
 def test_closed_surface_needs_no_conditions(dim):
+    """A closed surface has a symmetric tangent without conditions, an open one needs ``bcs=``."""
     V, ds = cube(dim)
     assert chosen(V, ds) == "symmetric"
     with pytest.raises(ValueError, match=r"has a rim, .* give bcs=, the Dirichlet conditions"):
@@ -153,10 +158,10 @@ def test_closed_surface_needs_no_conditions(dim):
 
 
 def test_pressure_that_varies_has_the_full_tangent():
-    """Whatever the rim does; constants and what is made of them do not vary.
+    """A pressure that varies in space has the full tangent, whatever the rim is.
 
-    The user's quadrature does not decide: where it is not exact, even the tangent of a clamped
-    surface is a little unsymmetric.
+    Constants and expressions of them do not vary. The quadrature degree does not matter: where it
+    is not exact, even the tangent of a clamped surface is a little unsymmetric.
     """
     V, ds = cube(3)
     bcs = [dirichlet(V, end(1)), dirichlet(V, end(2))]
@@ -170,7 +175,7 @@ def test_pressure_that_varies_has_the_full_tangent():
 
 
 def test_nothing_to_add():
-    """No tangent, or the number zero as a pressure: forms that can be added."""
+    """Without a tangent, or with zero pressure, the result is an empty form that can be added."""
     V, ds = cube(3)
     u = function(V, bulge)
     v = ufl.TestFunction(V)
@@ -201,6 +206,7 @@ WRONG_TANGENT = {
 
 @each(("arguments", "message"), WRONG_TANGENT)
 def test_bad_arguments_of_the_tangent(arguments, message):
+    """Bad arguments of the tangent are refused with a remedy."""
     V, ds = cube(3)
     v = ufl.TestFunction(V)
     du = ufl.TrialFunction(V)
@@ -210,6 +216,7 @@ def test_bad_arguments_of_the_tangent(arguments, message):
 
 
 def test_infinite_pressure():
+    """An infinite pressure is refused."""
     V, ds = cube(3)
     with pytest.raises(ValueError, match="p = inf"):
         loads.pressure_potential(float("inf"), function(V, bulge), ds)
@@ -221,6 +228,7 @@ def test_infinite_pressure():
     ids=["zero", "two-components", "nan"],
 )
 def test_bad_axis(axis):
+    """An axis that is not one of the space is refused."""
     V, ds = cube(3)
     with pytest.raises(ValueError, match="axis = "):
         loads.enclosed_volume(function(V, bulge), ds, axis)
@@ -228,7 +236,7 @@ def test_bad_axis(axis):
 
 @pytest.mark.parametrize(("dim", "axis"), [(2, None), (3, None), (3, (0.0, 0.0, 2.0)), (2, (1, 1))])
 def test_volume_of_a_closed_surface(dim, axis):
-    """The normal of a solid points away from it: the volume outside of its skin is −∫ J dX."""
+    """The volume enclosed by a solid's skin is −∫ J dX, as its normals point outwards."""
     V, ds = cube(dim)
     u = function(V, bulge)
     J = ufl.det(deformation_gradient(u))
@@ -238,7 +246,7 @@ def test_volume_of_a_closed_surface(dim, axis):
 
 @dims
 def test_potential_of_a_clamped_surface(dim):
-    """The derivative of −p V is the follower pressure for every variation that leaves the rim."""
+    """The derivative of −p V is the follower pressure for variations that vanish on the rim."""
     V, ds = cube(dim)
     u = function(V, bulge)
     v = ufl.TestFunction(V)
@@ -253,10 +261,10 @@ def test_potential_of_a_clamped_surface(dim):
 
 
 def test_potential_of_a_tube_whose_ends_slide():
-    """Rims may slide in planes normal to the axis, and in a plane of symmetry through the origin.
+    """The potential holds for rims sliding in planes normal to the axis, or of symmetry.
 
-    The face x = 0 has its rims z = 0 and z = 1 in such planes, the rim y = 0 in a plane of
-    symmetry, and its rim y = 1 clamped.
+    The face x = 0 has its rims z = 0 and z = 1 in such planes, the rim y = 0 in a plane of symmetry
+    through the origin, and its rim y = 1 clamped.
     """
     V, ds = cube(3)
     u = function(V, lambda x: [0.1 * x[1] ** 2 + 0.2 * x[2], 0.2 * x[1], 0 * x[0]])

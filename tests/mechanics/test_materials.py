@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Kinematics and energies by hand, of arteries and of the heart; rubber is in tests/workshop."""
+"""Kinematics and energies of arteries and of the heart agree with derivations by hand."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def dispersed(F, dispersion):
 
 
 def hand_stress(F):
-    """First Piola stress of the HGO energy, derived on paper."""
+    """Return the first Piola stress of the HGO energy, derived on paper."""
     J = np.linalg.det(F)
     inverse = np.linalg.inv(F).T
     scale = J ** (-2 / 3)
@@ -66,7 +66,7 @@ def piola(energy, F):
 
 
 def test_fully_dispersed_fibres_are_isotropic():
-    """ϰ = 1/3: E = (Ī₁ − 3)/3 for both families, whatever their direction."""
+    """With ϰ = 1/3 both families have E = (Ī₁ − 3)/3, whatever their direction."""
     E = value(kin.isochoric_invariant_1(variable(STRETCHED.T @ STRETCHED))) / 3 - 1
     psi = 4.5 * E + 2.3632 / 0.8393 * np.expm1(0.8393 * E**2)
     assert value(dispersed(variable(STRETCHED), 1 / 3)) == pytest.approx(psi, rel=1e-13)
@@ -76,6 +76,7 @@ def test_fully_dispersed_fibres_are_isotropic():
 
 
 def test_deformation_gradient_of_an_affine_displacement():
+    """The deformation gradient of an affine displacement is its matrix."""
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_WORLD, 2, 2, 2)
     u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,))))
     u.interpolate(lambda x: (STRETCHED - np.eye(3)) @ x)
@@ -85,7 +86,7 @@ def test_deformation_gradient_of_an_affine_displacement():
 
 
 def test_every_deformation_gradient_gives_the_same_form():
-    """Variables are numbered anew in each form, so that the compiler's cache serves again."""
+    """Equal forms have one signature, as variables are numbered anew in each form."""
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
     u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,))))
     first, second = (
@@ -96,6 +97,7 @@ def test_every_deformation_gradient_gives_the_same_form():
 
 @pytest.mark.parametrize("with_jacobian", [True, False])
 def test_isochoric_invariants(with_jacobian):
+    """Isochoric invariants are those of F̄ = J^(−1/3) F, with J given or not."""
     F = variable(STRETCHED)
     C = kin.right_cauchy_green(F)
     J = kin.jacobian(F) if with_jacobian else None
@@ -114,6 +116,7 @@ def test_isochoric_invariants(with_jacobian):
 
 
 def test_two_dimensions_are_plane_strain():
+    """Invariants in two dimensions are those of plane strain."""
     plane = STRETCHED[:2, :2]
     solid = np.eye(3)
     solid[:2, :2] = plane
@@ -127,7 +130,7 @@ def test_two_dimensions_are_plane_strain():
 
 
 def test_cauchy_stress_by_hand():
-    """Ψ = μ/2 (tr C − 3) has σ = μ F Fᵀ / J."""
+    """The Cauchy stress of Ψ = μ/2 (tr C − 3) is μ F Fᵀ / J."""
     F = variable(STRETCHED)
     sigma = value(kin.cauchy_stress(0.5 * 4.0 * (ufl.tr(kin.right_cauchy_green(F)) - 3), F))
     np.testing.assert_allclose(
@@ -136,6 +139,7 @@ def test_cauchy_stress_by_hand():
 
 
 def test_cauchy_stress_refuses_a_foreign_variable():
+    """``cauchy_stress`` refuses an F on which the energy does not depend."""
     psi = kin.jacobian(variable(STRETCHED))
     for other in (variable(STRETCHED), ufl.as_matrix(STRETCHED.tolist())):
         with pytest.raises(ValueError, match="psi does not depend"):
@@ -143,6 +147,7 @@ def test_cauchy_stress_refuses_a_foreign_variable():
 
 
 def test_stress_magnitude():
+    """The stress magnitude is the Frobenius norm."""
     sigma = np.array([[1.0, 2.0, -1.0], [2.0, 3.0, 0.5], [-1.0, 0.5, -2.0]])
     by_hand = np.sqrt(1 + 9 + 4 + 2 * (4 + 1 + 0.25))
     assert value(kin.stress_magnitude(variable(sigma))) == pytest.approx(by_hand)
@@ -156,13 +161,13 @@ def test_stress_magnitude():
     "energy", [fibred, lambda F: fibred(F, kin.jacobian(F)), lambda F: dispersed(F, 0.0)]
 )
 def test_stress_is_the_one_derived_on_paper(energy, F):
-    """The energy is given J or not, or has dispersed fibres with a dispersion of zero."""
+    """The HGO stress is the one derived on paper, with J given or not, and with no dispersion."""
     np.testing.assert_allclose(piola(energy, F), hand_stress(F), rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("length", [1 - 4e-16, 1.0, 1 + 4e-16])
 def test_fibres_stiffen_the_reference_state_whatever_the_rounding(length):
-    """∂²Ψ/∂F₁₁² at F = I: 4/3 c of the matrix, and 8 k₁ (cos²θ − 1/3)² of two families."""
+    """At F = I, ∂²Ψ/∂F₁₁² is 4/3 c plus 8 k₁ (cos²θ − 1/3)² of two families, despite rounding."""
     F = variable(np.eye(3))
     a1 = vector(length * A1)
     a2 = vector(length * A2)
@@ -173,13 +178,14 @@ def test_fibres_stiffen_the_reference_state_whatever_the_rounding(length):
 
 
 def test_inverted_state_is_not_hidden():
-    """Given J, its energy is NaN in compiled code, and a complex power in UFL's evaluation."""
+    """An inverted state has no real energy: evaluating a power of its negative J fails."""
     F = variable(np.diag([-1.1, 1.0, 1.0]))
     with pytest.raises(TypeError):
         value(fibred(F, kin.jacobian(F)))
 
 
 def test_perturbed_lagrangian_is_the_volumetric_energy_at_its_pressure():
+    """At p = κ (J − 1) the perturbed Lagrangian is the volumetric energy."""
     J = 1.07
     pressure = KAPPA * (J - 1)
     field = ufl.variable(ufl.as_ufl(pressure))
@@ -189,6 +195,7 @@ def test_perturbed_lagrangian_is_the_volumetric_energy_at_its_pressure():
 
 
 def test_parameters_of_the_paper():
+    """The default artery parameters are those of the paper, and immutable."""
     assert dataclasses.asdict(mat.ArteryParameters()) == HGO
     with pytest.raises(dataclasses.FrozenInstanceError):
         mat.ArteryParameters().c = 6.0
@@ -213,7 +220,7 @@ ANY = np.array([[1.1, 0.15, -0.1], [0.05, 0.9, 0.1], [-0.1, 0.1, 1.1]])
 
 
 def test_guccione_by_hand():
-    """Q of the strains in a frame (f, s, n), entry by entry, as in the benchmark's problem 1."""
+    """Guccione's Q is that of the strains in the frame (f, s, n), entry by entry."""
     frame = np.array([FIBRE, SHEET, [0.0, 1.0, 0.0]])
     E = frame @ (ANY.T @ ANY / np.linalg.det(ANY) ** (2 / 3) - np.eye(3)) @ frame.T / 2
     Q = 8.0 * E[0, 0] ** 2 + 2.0 * np.sum(E[1:, 1:] ** 2) + 4.0 * 2 * np.sum(E[0, 1:] ** 2)
@@ -229,9 +236,9 @@ def holzapfel_ogden(F):
 
 
 def test_holzapfel_ogden_by_hand():
-    """Simple shear of f along s by γ: I₁ = 3 + γ², I₄f = 1, I₄s = 1 + γ², I₈ = γ.
+    """In simple shear the Holzapfel–Ogden energy has its closed form, unchanged by volume.
 
-    A change of volume is not seen.
+    Shear of f along s by γ: I₁ = 3 + γ², I₄f = 1, I₄s = 1 + γ², I₈ = γ.
     """
     gamma = 0.3
     F = np.eye(3) + gamma * np.outer(FIBRE, SHEET)
@@ -243,7 +250,7 @@ def test_holzapfel_ogden_by_hand():
 
 
 def test_shortened_fibres_and_sheets_are_asleep():
-    """F = diag(0.8, 0.8, 1/0.64) in the frame (f, s, n): the matrix material alone resists."""
+    """Shortened fibres and sheets store no energy: F = diag(0.8, 0.8, 1/0.64)."""
     n = np.array([0.0, 1.0, 0.0])
     families = zip((0.8, 0.8, 1 / 0.64), (FIBRE, SHEET, n), strict=True)
     F = sum(stretch * np.outer(a, a) for stretch, a in families)
@@ -257,7 +264,7 @@ def contracting(F, tension=60.0):
 
 
 def test_tension_is_a_second_piola_kirchhoff_stress_along_the_fibre():
-    """T_a/2 (I₄ − 1), P = T_a F f ⊗ f; along a fibre that is pulled by λ the force is T_a λ."""
+    """Active tension gives P = T_a F f ⊗ f, a force T_a λ along a fibre stretched by λ."""
     I4 = FIBRE @ ANY.T @ ANY @ FIBRE
     assert value(contracting(variable(ANY))) == pytest.approx(30.0 * (I4 - 1), rel=1e-13)
     np.testing.assert_allclose(
@@ -271,7 +278,7 @@ def test_tension_is_a_second_piola_kirchhoff_stress_along_the_fibre():
 
 @pytest.mark.serial
 def test_code_of_all_forms_is_short(tmp_path):
-    """Compilation takes time in proportion to the code, of which UFL could make much more."""
+    """The generated code of all forms is short, so that it compiles quickly."""
     body = wall(tube())
     for form in (body.F_u, body.F_p, body.J, ufl.derivative(body.F_u, body.p)):
         dolfinx.fem.form(form, jit_options={"cache_dir": tmp_path})
@@ -280,7 +287,7 @@ def test_code_of_all_forms_is_short(tmp_path):
 
 
 def test_limit_of_the_quadrature_degree():
-    """It holds for integrals without a degree whose estimate is larger; derivatives inherit it."""
+    """The limit applies to integrals that state no degree, and derivatives inherit it."""
     mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
     u = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (3,))))
     dear = fibred(kin.deformation_gradient(u)) * ufl.dx

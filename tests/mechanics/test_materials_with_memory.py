@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Materials with memory on a block that is stretched uniformly, beside their closed forms."""
+"""Materials with memory on a uniformly stretched block agree with their closed forms."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class StretchedBlock:
 
 
 def elastic_force(stretch: float) -> float:
-    """Force of an incompressible neo-Hookean block, P = c (λ − 1/λ²)."""
+    """Return the force of an incompressible neo-Hookean block, P = c (λ − 1/λ²)."""
     return C1 * (stretch - stretch**-2)
 
 
@@ -80,7 +80,7 @@ def block() -> StretchedBlock:
 
 
 def test_relaxation(block):
-    """Stretched at once and held: the overstress fades as β e^{−t/τ}, exactly."""
+    """After a sudden stretch, the overstress decays as β e^{−t/τ}, exactly."""
     block.u.x.array[:] = 0.0
     block.p.x.array[:] = 0.0
     β = (0.5, 0.25)
@@ -105,7 +105,7 @@ def test_relaxation(block):
 
 
 def test_update_in_a_load(block):
-    """A load that is followed updates what is remembered in each equilibrium."""
+    """Load steps update the internal variables in each accepted state."""
     block.u.x.array[:] = 0.0
     block.p.x.array[:] = 0.0
     m = block.remembered()
@@ -134,7 +134,7 @@ def test_update_in_a_load(block):
 
 @pytest.mark.serial
 def test_damaged_energy_is_the_integral_of_its_stress():
-    """φ(Ψ) = ∫ (1 − d(max(m, ψ))) dψ, on both sides of Ψ = m."""
+    """The damaged energy is φ(Ψ) = ∫ (1 − d(max(m, ψ))) dψ, on both sides of Ψ = m."""
     mesh = cube(3, 1)
     R = dolfinx.fem.functionspace(mesh, ("DG", 0))
     psi = dolfinx.fem.Function(R)
@@ -155,6 +155,7 @@ def test_damaged_energy_is_the_integral_of_its_stress():
 
 
 def test_bad_internal_variables(block):
+    """Internal variables are refused if shape, element or type do not fit."""
     with raises(ValueError, r"internal variable 'ξ' has the shape \(3, 3\), but 'ξ' has \(\)"):
         block.problem(block.psi, {block.remembered(): block.F})
     with raises(ValueError, "internal variable 'u' has the element .*, whose dofs cells share"):
@@ -164,7 +165,7 @@ def test_bad_internal_variables(block):
 
 
 def test_update_of_an_unknown_kind(block):
-    """Nothing is updated, and that is said."""
+    """An unknown choice of internal variables to update is refused."""
     problem = block.problem(block.psi, {})
     with raises(ValueError, "which='recorderd': choose 'all', 'in_forces' or 'recorded'"):
         problem.update_internal_variables("recorderd")

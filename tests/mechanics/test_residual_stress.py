@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Residual stress: a ring that is cut opens by its angle, and no stress is left."""
+"""Residual stress: a ring that is cut opens by its angle, without stress afterwards."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MIDDLE = (INNER + OUTER) / 2
 
 
 def half_ring(angle: float, stretch: float = 1.0):
-    """Half a ring in plane strain, held in the plane y = 0; its directions and their energy."""
+    """Return half a ring in plane strain on the plane y = 0, with its directions and energy."""
     mesh = dolfinx.mesh.create_rectangle(
         COMM, [(INNER, 0.0), (OUTER, np.pi)], (4, 24), dolfinx.mesh.CellType.quadrilateral
     )
@@ -74,7 +74,7 @@ def solve(angle: float, *, closed: bool):
 
 @pytest.mark.parametrize("angle", [30.0, -20.0])
 def test_ring_that_is_cut_opens_by_its_angle(angle):
-    """Half a ring turns its free end by half of the angle, and its energy vanishes."""
+    """The cut end of half a ring turns by half of the opening angle, with zero energy."""
     u, _, psi = solve(angle, closed=False)
     V = u.function_space
     X = V.tabulate_dof_coordinates()[:, :2]
@@ -89,6 +89,7 @@ def test_ring_that_is_cut_opens_by_its_angle(angle):
 
 
 def test_closed_ring_is_stretched_outside_and_pressed_inside():
+    """In a closed ring the hoop stress is tensile outside, compressive inside, and balanced."""
     _, F, psi = solve(60.0, closed=True)
     sigma = kinematics.cauchy_stress(psi, F)
     mesh = ufl.domain.extract_unique_domain(F)
@@ -105,13 +106,14 @@ def test_closed_ring_is_stretched_outside_and_pressed_inside():
 
 
 def test_no_angle_no_stretch():
+    """Without an opening angle the energy is zero."""
     *_, psi = half_ring(0.0)
     small(scalar(psi * ufl.dx(metadata={"quadrature_degree": 4})), 1e-12)
 
 
 @pytest.mark.parametrize("angle", [0.0, 29.0, 62.0])
 def test_an_oblique_fibre_of_the_image(angle):
-    """The stress in the image is that of the pieces, where the fibre joins the same two points."""
+    """The stress of an oblique fibre of the image is that of the fibre in the opened pieces."""
     G = np.diag([1 / 1.3, 1 / 1.1, 1.43])  # opens and becomes shorter
     a = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle)), 0.0])
     A = G @ a / np.linalg.norm(G @ a)
@@ -138,6 +140,7 @@ def test_an_oblique_fibre_of_the_image(angle):
 
 
 def test_bad_input():
+    """A G whose dimension is not that of the fibre or of F is refused."""
     with raises(ValueError, r"G has the shape \(3, 3\) and a \(2,\)"):
         stress_free_direction(ufl.as_vector([1, 0]), ufl.Identity(3))
     with raises(ValueError, r"G has the shape \(2, 2\) and F \(3, 3\)"):

@@ -35,7 +35,10 @@ def integrals(mesh: dolfinx.mesh.Mesh, tags: dolfinx.mesh.MeshTags, kind: str) -
     ("kind", "order"), [("file", 1), *itertools.product(("hexahedra", "tetrahedra"), (1, 2))]
 )
 def test_tube(tmp_path, kind, order, quarter):
-    """Polygons of order 1 are those of the chords; parabolas miss a circle by (angle)⁴/480."""
+    """Volumes and areas of tubes are those of polygons or parabolas.
+
+    Polygons of order 1 are those of the chords; parabolas miss a circle by (angle)⁴/480.
+    """
     n = 4 if quarter else 16
     L = 1.0
     angle = 2 * np.pi / 16
@@ -67,7 +70,7 @@ def test_tube(tmp_path, kind, order, quarter):
 
 
 def test_growth():
-    """Three elements of 1, 2 and 4 parts of the media: twice as thick over a third of it."""
+    """With growth, three elements of 1, 2 and 4 parts fill the media."""
     wall = create_brick_tube(
         COMM, length=1.0, size=1.0, quarter=True, around=2, through=(3, 1), growth=8.0, order=1
     )
@@ -78,6 +81,7 @@ def test_growth():
 
 @pytest.mark.parametrize("wrong", [{"order": 3}, {"size": -1.0}, {"growth": 0.0}])
 def test_wrong_arguments(wrong):
+    """Bad sizes and numbers of elements are refused."""
     with raises(ValueError, "give lengths and a growth above zero, and order 1 or 2"):
         create_brick_tube(COMM, **({"length": 1.0, "size": 0.2} | wrong))
 
@@ -94,12 +98,14 @@ def test_wrong_arguments(wrong):
     ids=["along", "around", "around-a-quarter", "through", "length"],
 )
 def test_numbers_of_elements_that_make_no_tube(wrong, message):
+    """Numbers of elements that are too small for a tube are refused."""
     with raises(ValueError, message):
         create_brick_tube(COMM, **({"length": 1.0, "size": 0.2} | wrong))
 
 
 @pytest.mark.parametrize(("subdomains", "cells"), [(2, 1), (2, 2), (3, 1)])
 def test_mesh_fills_the_cube_and_keeps_subcubes_together(subdomains, cells):
+    """The mesh fills the unit cube, and each subcube lies on one process."""
     mesh, part = create_cube(COMM, subdomains, cells)
     n = mesh.topology.index_map(3).size_local
     agree(len(part) == n and mesh.topology.index_map(3).num_ghosts == 0)

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.serial
 
 @pytest.mark.parametrize("quarter", [False, True])
 def test_tube(tmp_path, quarter):
-    """No leak; a quarter ends exactly in its planes. ``test_bricks`` has volumes and areas."""
+    """The boundary of a tube is closed, and a quarter ends exactly in its planes."""
     n = 4 if quarter else 16
     path = tmp_path / "t.msh"
     quality = tube.write_tube(path, length=2.0, quarter=quarter, through=(2, 1), around=n, along=7)
@@ -36,11 +36,13 @@ def test_tube(tmp_path, quarter):
 
 
 def test_finer_tubes_have_more_cells(tmp_path):
+    """A smaller element size gives more cells."""
     made = [tube.write_tube(tmp_path / "t.msh", size=s).cells for s in (0.4, 0.26, 0.13)]
     agree(made[0] < made[1] < made[2] and 15_000 < made[2] < 25_000, made)
 
 
 def test_files_are_whole_or_not_there(tmp_path, monkeypatch):
+    """If writing fails, the old file is unchanged, and no partial one is left."""
     path = tmp_path / "t.msh"
     path.write_text("mine")
 
@@ -54,7 +56,7 @@ def test_files_are_whole_or_not_there(tmp_path, monkeypatch):
 
 
 def test_command_line_makes_the_example(tmp_path, monkeypatch):
-    """README.md names the command for meshes/example.msh."""
+    """The command of README.md creates meshes/example.msh."""
     readme = (ROOT / "meshes/README.md").read_text(encoding="utf-8")
     command = re.search(r"python3 -m meshes\.tube meshes/example\.msh (.*)`", readme)
     monkeypatch.setattr(sys, "argv", ["prog", str(tmp_path / "new/t.msh"), *command[1].split()])
@@ -80,6 +82,7 @@ def test_command_line_makes_the_example(tmp_path, monkeypatch):
     ],
 )
 def test_wrong_words(tmp_path, monkeypatch, capsys, module, words, said):
+    """Wrong command line arguments exit with status 2 and a message, and write nothing."""
     monkeypatch.setattr(sys, "argv", ["prog", str(tmp_path / "w.msh"), *words])
     with pytest.raises(SystemExit) as caught:
         module.main()
@@ -109,7 +112,7 @@ def test_wrong_words(tmp_path, monkeypatch, capsys, module, words, said):
     ],
 )
 def test_wrong_values(tmp_path, create, options, message):
-    """An existing file is not changed."""
+    """Wrong arguments are refused, and an existing file is not changed."""
     path = tmp_path / "v.msh"
     path.write_text("mine")
     with raises(ValueError, message):
@@ -118,7 +121,7 @@ def test_wrong_values(tmp_path, create, options, message):
 
 
 def test_other_formats_are_refused(tmp_path):
-    """A file of this name would be read as one of VTK."""
+    """A file name with another ending than .msh is refused."""
     with raises(ValueError, r"t\.vtu.*ends in \.xdmf or \.msh"):
         tube.write_tube(tmp_path / "t.vtu", size=0.4)
     agree(not list(tmp_path.iterdir()))

@@ -23,6 +23,7 @@ pytestmark = pytest.mark.serial
 
 @pytest.mark.parametrize("name", ["p.stl", "p.stl.gz", "binary.stl"])
 def test_surfaces_are_read(tmp_path, name):
+    """Surfaces of triangles are read from each format."""
     x, t = pipe()
     y, s = read_stl(write_stl(tmp_path / name, x, t, binary=name == "binary.stl"))
     agree(y.shape == x.shape and s.shape == t.shape)
@@ -43,12 +44,14 @@ NEAREST = {
 
 @each(("point", "expected"), NEAREST)
 def test_nearest_point_of_a_triangle(point, expected):
+    """The nearest point lies in the triangle, on an edge or at a vertex, as known by hand."""
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     found = surface._nearest_on_triangles(np.array(point), *corners)
     equal(found, expected, 1e-15)
 
 
 def test_remeshing_makes_good_triangles():
+    """Remeshed triangles are of good quality."""
     x, t = pipe(n=60, m=9)
     y, s = remesh(x, t, size=0.9)
     length = np.linalg.norm(np.diff(y[find_edges(s).ends], axis=1)[:, 0], axis=1)
@@ -58,7 +61,7 @@ def test_remeshing_makes_good_triangles():
 
 
 def test_quality_of_known_tetrahedra():
-    """1 for the regular one, negative inside out, 0 when flat."""
+    """The quality is 1 for a regular tetrahedron, 0 for a flat and negative for an inverted one."""
     regular = np.array([[0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1]], dtype=float)
     flat = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], dtype=float)
     expected = {
@@ -71,7 +74,7 @@ def test_quality_of_known_tetrahedra():
 
 
 def test_prisms_match_for_any_numbering():
-    """Neighbouring columns cut the side between them alike, whatever the numbers are."""
+    """Neighbouring prisms split their common face alike, for any numbering."""
     x, t = pipe(n=9, m=4)
     number = np.random.default_rng(7043).permutation(len(x))
     y = np.empty_like(x)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""The wall of the vessel: quality, tags, volumes, no leak; and surfaces that are refused."""
+"""The wall of the vessel: quality, tags, volumes, closedness; and surfaces that are refused."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def artery(tmp_path_factory):
 
 
 def test_vessel_is_good(artery):
-    """About 40 000 tetrahedra, none of them bad; the histogram counts them all; no leak."""
+    """The vessel has about 40 000 good tetrahedra and a closed boundary."""
     quality = artery.quality
     agree(36_000 < quality.cells < 44_000, quality)
     agree(quality.minimum >= 0.2, quality)
@@ -43,9 +43,10 @@ def test_vessel_is_good(artery):
 
 
 def test_vessel_has_layers_and_openings(artery):
-    """Volume = mean of inner and outer area times thickness; media below 2/3, being inside.
+    """The layers have their volumes, and the openings their radii.
 
-    Mean radii of the openings are 4.3, 3.5 and 2.9 mm, from the wide one to the narrow one.
+    Volume = mean of inner and outer area times thickness; the media has less than 2/3, as it is
+    inside. Mean radii of the openings are 4.3, 3.5 and 2.9 mm, in the order of size.
     """
     area = areas(artery.wall)
     volume = volumes(artery.wall)
@@ -73,7 +74,7 @@ def test_vessel_does_not_overlap_itself(artery):
 
 
 def test_vessel_lies_on_the_surface(artery):
-    """The lumen's points lie on the given surface, and its area is the given one."""
+    """The points of the lumen lie on the given surface, and have its area."""
     wall = artery.wall
     x, t = read_stl(vessel.find_surface())
     lumen = wall.facets[wall.facet_tags == SURFACE_TAGS["lumen"]]
@@ -85,6 +86,7 @@ def test_vessel_lies_on_the_surface(artery):
 
 
 def test_quality_is_gmshs(artery):
+    """The quality of tetrahedra is the one that Gmsh computes."""
     gmsh = pytest.importorskip("gmsh")
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     try:
@@ -106,7 +108,7 @@ def coarse(tmp_path_factory):
 
 
 def test_command_line_makes_the_same_vessel(coarse, tmp_path, monkeypatch):
-    """Byte for byte, if it is generated a second time."""
+    """The command line generates the same vessel, byte for byte."""
     path = tmp_path / "new" / "w.msh"
     monkeypatch.setattr(sys, "argv", ["prog", str(path), "--size", "2.4"])
     vessel.main()
@@ -122,7 +124,7 @@ def test_command_line_makes_the_same_vessel(coarse, tmp_path, monkeypatch):
     ],
 )
 def test_layers_of_a_pipe(tmp_path, layers, through, size):
-    """Each between its radii, with its number of elements."""
+    """Each layer of a pipe lies between its radii, with its number of elements."""
     stl = write_stl(tmp_path / "pipe.stl", *pipe(), binary=True)
     path = tmp_path / "v.msh"
     of = {"thickness": 1.0, "layers": layers, "through": through}
@@ -138,7 +140,7 @@ def test_layers_of_a_pipe(tmp_path, layers, through, size):
 
 
 def test_one_layer_from_a_surface_in_metres(tmp_path, monkeypatch, capsys):
-    """From the command line: one named layer; triangles may face inwards."""
+    """The command line grows one named layer on a surface in metres, of either orientation."""
     path = tmp_path / "wall.msh"
     x, t = pipe()
     stl = write_stl(tmp_path / "pipe.stl", x / 1000, t[:, ::-1], binary=True)
@@ -158,7 +160,7 @@ def test_one_layer_from_a_surface_in_metres(tmp_path, monkeypatch, capsys):
 
 
 def test_wall_too_thick_for_its_crotches_is_refused(coarse, tmp_path):
-    """On the lumen of the coarse vessel, whose triangles are few."""
+    """A wall too thick for the crotches of its lumen is refused."""
     wall = read_wall_arrays(coarse)
     t = wall.facets[wall.facet_tags == SURFACE_TAGS["lumen"]]
     stl = write_stl(tmp_path / "lumen.stl", wall.points, t, binary=True)
@@ -168,6 +170,7 @@ def test_wall_too_thick_for_its_crotches_is_refused(coarse, tmp_path):
 
 
 def test_missing_surface_names_the_remedies(tmp_path):
+    """A missing surface file is an error with its remedies."""
     with raises(FileNotFoundError, "apt install gmsh-doc.*pip install gmsh.*--surface"):
         vessel.find_surface([tmp_path])
 
@@ -183,6 +186,7 @@ def test_missing_surface_names_the_remedies(tmp_path):
     ids=["empty", "turned", "doubled", "closed"],
 )
 def test_bad_surfaces_are_refused(tmp_path, spoil, message):
+    """Surfaces that are not closed, manifold or oriented are refused."""
     x, t = pipe()
     stl = write_stl(tmp_path / "p.stl", x, np.asarray(spoil(x, t)), binary=True)
     with raises(ValueError, message):

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Any field for ParaView: data at quadrature points, on facets and at vertices, every element."""
+"""Fields of every element, at quadrature points, on facets and at vertices, for ParaView."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ KINDS = [pytest.param("vtx", marks=needs_adios2), "xdmf"]
 
 
 def written_functions(writer: FieldWriter) -> list[dolfinx.fem.Function]:
-    """The functions in the file, with the values of the last step."""
+    """Return the functions in the file, with the values of the last step."""
     return [copy.function for copy in writer._outputs[0].copies]
 
 
@@ -54,7 +54,7 @@ def at_points(mesh: dolfinx.mesh.Mesh, degree: int, name: str = "S") -> dolfinx.
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_data_at_quadrature_points_are_projected(tmp_path, kind, cell, degree):
-    """A linear field is projected to itself; by one point, or to a constant, to its mean."""
+    """Data at quadrature points are projected: a linear field to itself, or to its mean."""
     shape = getattr(dolfinx.mesh.CellType, cell)
     mesh = cube(2 if cell in ("triangle", "quadrilateral") else 3, 2, shape)
     S = at_points(mesh, degree)
@@ -75,7 +75,7 @@ def test_data_at_quadrature_points_are_projected(tmp_path, kind, cell, degree):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_value_that_is_no_number_spoils_its_node_only(tmp_path, kind):
-    """What has no data at quadrature points is interpolated: 1/x, infinite where x = 0."""
+    """An infinite value changes only its own node: 1/x is interpolated except where x = 0."""
     mesh = cube(3, 2)
     v = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1)), name="v")
     x = ufl.SpatialCoordinate(mesh)
@@ -92,7 +92,7 @@ def test_value_that_is_no_number_spoils_its_node_only(tmp_path, kind):
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("kind", KINDS)
 def test_data_at_quadrature_points_are_written_there(tmp_path, kind, dim):
-    """Read back: points and values, step after step, beside the fields of the cells."""
+    """Points and values at quadrature points can be read back, in each step."""
     mesh = cube(dim, 2)
     S = at_points(mesh, 3)
     v = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1)), name="v")
@@ -121,7 +121,7 @@ def heavy(folder: Path, item: ElementTree.Element) -> Array:
 
 
 def test_data_at_vertices_and_on_facets(tmp_path):
-    """A submesh of facets is shown as a mesh, one of vertices as points."""
+    """A submesh of facets is written as a mesh, and one of vertices as points."""
     mesh = cube(3, 2)
     for dim, name in ((0, "points"), (2, "facets")):
         mesh.topology.create_entities(dim)
@@ -140,6 +140,7 @@ def test_data_at_vertices_and_on_facets(tmp_path):
 
 
 def test_cell_values_of_data_at_quadrature_points_are_means():
+    """Cell values of data at quadrature points are their means."""
     mesh = cube(3, 2)
     centroids = cell_values(ufl.SpatialCoordinate(mesh), mesh)
     equal(
@@ -150,7 +151,7 @@ def test_cell_values_of_data_at_quadrature_points_are_means():
 
 
 def test_no_copies_of_data_at_other_points():
-    """Four quadrature points are not the four vertices, for a recovered field, either."""
+    """Data at quadrature points are recovered from their own points, and from no others."""
     mesh = cube(3, 2)
     patches = create_patches(mesh, degree=4)
     other = at_points(mesh, 5)
@@ -181,7 +182,7 @@ ELEMENTS = {
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_element_on_straight_and_curved_cells(tmp_path, kind, order):
-    """Constant fields are written as such, by one writer."""
+    """Constant fields of every element are written as such, by one writer."""
     mesh = cube(3, 1) if order == 1 else create_curved_mesh(cube(3, 1), lambda x: x)
     functions = []
     for name, element in (ELEMENTS | {"bubble": with_bubbles(mesh)}).items():
@@ -226,6 +227,7 @@ REFUSED = {
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("message", REFUSED)
 def test_refused_when_the_writer_is_made(tmp_path, kind, message):
+    """Fields that cannot be written are refused when the writer is created."""
     mesh = cube(3, 1)
     first = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1)), name="first")
     with raises(ValueError, f"'e' cannot be written: {message}"):

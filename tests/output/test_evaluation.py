@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Values at points: exact for polynomials, on curved cells, between cells, on all processes."""
+"""Values at points: exact for polynomials, on curved cells and between cells."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 
 
 def unit_mesh(cell):
-    """Unit square or cube of one type of cells."""
+    """Return the unit square or cube of one cell type."""
     kind = getattr(dolfinx.mesh.CellType, cell)
     if cell in CELLS[2]:
         return dolfinx.mesh.create_unit_square(COMM, 3, 4, kind)
@@ -26,13 +26,13 @@ def unit_mesh(cell):
 
 
 def random_points(dim, count=70):
-    """Points inside the unit cube, the same on all processes."""
+    """Return points inside the unit cube, the same on all processes."""
     return np.random.default_rng(3).uniform(0.01, 0.99, (count, dim))
 
 
 @pytest.mark.parametrize("cell", [*CELLS[2], *CELLS[3]])
 def test_gradient_of_a_quadratic_field(cell):
-    """Grad u of u = (x² + y, x y, …) at random points, more than one compilation takes."""
+    """The gradient of a quadratic field is exact at random points."""
     mesh = unit_mesh(cell)
     dim = mesh.geometry.dim
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (dim,)))
@@ -52,14 +52,14 @@ def test_gradient_of_a_quadratic_field(cell):
 
 
 def test_single_point_has_the_shape_of_the_expression():
-    """A point alone gives a value alone."""
+    """A single point has a value of the expression's shape."""
     mesh = unit_mesh("tetrahedron")
     value = evaluate(ufl.SpatialCoordinate(mesh), [0.3, 0.4, 0.5])
     equal(value, [0.3, 0.4, 0.5], 1e-12)
 
 
 def test_value_between_cells_is_their_mean():
-    """At an inner vertex, a DG function has the mean of the values of all cells around."""
+    """At a vertex, a DG function has the mean of the values of all cells around."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 2, 2)
     Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
     f = dolfinx.fem.Function(Q)
@@ -70,7 +70,7 @@ def test_value_between_cells_is_their_mean():
 
 
 def test_curved_cells():
-    """The position on quadratic cells of a quarter of a ring is x itself."""
+    """On curved cells, the position evaluates to the point itself."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4)
     curved = dolfinx.fem.functionspace(mesh, ("Lagrange", 2, (2,)))
     where = dolfinx.fem.Function(curved)
@@ -98,7 +98,7 @@ def _quadratic_mesh(mesh, where):
 
 
 def _ordered(element, nodes):
-    """Arguments of create_mesh after the cells, whose order changed with dolfinx 0.10."""
+    """Return create_mesh's arguments after the cells, whose order changed with dolfinx 0.10."""
     major, minor, *_ = dolfinx.__version__.split(".")
     domain = ufl.Mesh(element)
     return (nodes, domain) if (int(major), int(minor)) < (0, 10) else (domain, nodes)
@@ -114,13 +114,13 @@ def _ordered(element, nodes):
     ids=["outside", "three-coordinates", "not-a-number"],
 )
 def test_wrong_points_are_named(points, message):
-    """Wrong points are an error on all processes."""
+    """Points outside the mesh or of a wrong shape are an error on all processes."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 3, 3)
     with raises(ValueError, message):
         evaluate(ufl.SpatialCoordinate(mesh), points)
 
 
 def test_expression_without_a_mesh_is_refused():
-    """A number has no mesh to look for points in."""
+    """An expression without a mesh is refused."""
     with raises(ValueError, "lives on no mesh"):
         evaluate(ufl.as_ufl(2.0), [0.5, 0.5])

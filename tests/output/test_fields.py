@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Output for ParaView: read back by other libraries than dolfinx, and refused before the work."""
+"""Output for ParaView is read back by other libraries; what cannot be written is refused early."""
 
 from __future__ import annotations
 
@@ -117,7 +117,10 @@ def read(path: Path) -> list[dict[str, Array]]:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_written_is_read(u, tmp_path, kind):
-    """VTX has points for each cell; in XDMF what is not continuous is one value for a cell."""
+    """Other readers find the points and values of each step that was written.
+
+    VTX has points for each cell; in XDMF a discontinuous field has one value for each cell.
+    """
     path = write(tmp_path / "wall", u, TIMES, kind)
     agree(path == tmp_path / {"vtx": "wall.bp", "xdmf": "wall.xdmf"}[kind])
     steps = read(path)
@@ -139,7 +142,7 @@ def test_what_is_written_is_read(u, tmp_path, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_mesh_that_moves(tmp_path, kind):
-    """Each step has the points of the mesh at that time."""
+    """Each step has the points of the mesh at its time."""
     mesh = cube(3, 2)
     v = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1)), name="displacement")
     with FieldWriter(tmp_path / "wall", [v], kind=kind) as writer:
@@ -152,6 +155,7 @@ def test_mesh_that_moves(tmp_path, kind):
 
 
 def test_the_kind_follows_from_dolfinx(u, tmp_path):
+    """The format is VTX if dolfinx has ADIOS2, and XDMF otherwise."""
     suffix = ".bp" if dolfinx.has_adios2 else ".xdmf"
     with FieldWriter(tmp_path / "new/wall", [u]) as writer:
         writer.write(0.0)
@@ -160,6 +164,7 @@ def test_the_kind_follows_from_dolfinx(u, tmp_path):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_later_run_replaces_the_file(u, tmp_path, kind):
+    """A later run replaces the file."""
     for times in (TIMES, TIMES[1:]):
         path = write(tmp_path / "wall", u, times, kind)
     equal([step["t"] for step in read(path)], TIMES[1:])
@@ -167,7 +172,7 @@ def test_a_later_run_replaces_the_file(u, tmp_path, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_file_is_closed_after_an_error(u, tmp_path, kind):
-    """What was written before can be read."""
+    """After an error in the block of the writer, the written steps can be read."""
     with raises(ArithmeticError, "no equilibrium"):
         with FieldWriter(tmp_path / "wall", [u], kind=kind) as writer:
             writer.write(2.0)
@@ -188,12 +193,14 @@ def test_the_file_is_closed_after_an_error(u, tmp_path, kind):
     ],
 )
 def test_refused_options(u, tmp_path, options, message):
+    """Unknown options and empty lists are refused, and no file is created."""
     with raises(ValueError, message):
         FieldWriter(tmp_path / "wall", **{"functions": [u], **options})
     agree(not list(tmp_path.iterdir()))
 
 
 def test_tags_and_a_time_that_is_no_number(u, tmp_path):
+    """MeshTags as a function, and times that are not finite, are refused."""
     mesh = u.function_space.mesh
     none = np.zeros(0, dtype=np.int32)
     with raises(TypeError, r"functions\[1\] is .*MeshTags.*: give Sequence\[dolfinx.fem"):
@@ -215,7 +222,7 @@ def test_tags_and_a_time_that_is_no_number(u, tmp_path):
     ],
 )
 def test_where_something_else_is(u, tmp_path, place, kind, match):
-    """The libraries would write nothing, end all processes, or raise on one alone."""
+    """A path that is taken by another file or folder is refused on all processes."""
 
     def put() -> None:
         (tmp_path / place).parent.mkdir(exist_ok=True)
@@ -232,7 +239,7 @@ def test_where_something_else_is(u, tmp_path, place, kind, match):
 
 
 def test_a_full_disk_reaches_all(tmp_path, monkeypatch):
-    """Only the first process meets it."""
+    """A full disk on the first process is an error on all."""
 
     def full(**_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -248,6 +255,7 @@ def test_a_full_disk_reaches_all(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_cell_values_are_those_at_the_centroids(dim):
+    """Cell values are those at the centroids."""
     mesh = cube(dim, 3)
     n = mesh.topology.index_map(dim).size_local
     centroids = dolfinx.mesh.compute_midpoints(mesh, dim, np.arange(n, dtype=np.int32))[:, :dim]
@@ -257,6 +265,7 @@ def test_cell_values_are_those_at_the_centroids(dim):
 
 
 def test_cell_values_where_a_process_has_no_cell():
+    """A process without cells has no cell values, of the right shape."""
     corners = np.vstack([np.zeros(3), np.eye(3)])
     mesh = create_mesh(COMM, corners, np.arange(4)[None])
     values = cell_values(ufl.SpatialCoordinate(mesh), mesh)

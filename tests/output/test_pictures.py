@@ -26,7 +26,7 @@ pytest.importorskip("pyvista")
 
 @pytest.fixture(scope="module")
 def beam() -> LinearProblem:
-    """A beam under its weight, solved."""
+    """A beam bent by its weight."""
     mesh = dolfinx.mesh.create_box(COMM, [[0.0, 0.0, 0.0], [4.0, 1.0, 1.0]], [8, 2, 2])
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (3,)))
     u = ufl.TrialFunction(V)
@@ -41,14 +41,14 @@ def beam() -> LinearProblem:
 
 
 def read(path) -> np.ndarray:
-    """The picture as an array, (height, width, 4)."""
+    """Return the picture as an array, (height, width, 4)."""
     from matplotlib.image import imread
 
     return on_first(lambda: imread(path))
 
 
 def test_field_and_subdomains_side_by_side(beam, tmp_path):
-    """The picture is as wide as promised, transparent, and the bodies fill it."""
+    """Two panels give a transparent picture of the stated width, filled by the bodies."""
     picture = pictures.draw(
         tmp_path / "new" / "beam.png",
         pictures.subdomains(beam, title="4 subdomains"),
@@ -63,7 +63,7 @@ def test_field_and_subdomains_side_by_side(beam, tmp_path):
 
 
 def test_texts_follow_the_background(beam, tmp_path):
-    """The title is dark on light, and light on dark."""
+    """The title is dark on a light background, and light on a dark one."""
     for dark in (False, True):
         picture = pictures.draw(
             tmp_path / f"{dark}.png", pictures.subdomains(beam, title="MMMM"), dark=dark
@@ -74,7 +74,7 @@ def test_texts_follow_the_background(beam, tmp_path):
 
 
 def test_colours_of_panels_with_one_label_are_those_of_one_scale(beam, tmp_path):
-    """It ends at the percentile 99 of both."""
+    """Panels with one label share a scale up to the percentile 99 of both."""
     panel = pictures.field(beam.u, "|u|")
     doubled = pictures.field(2 * beam.u, "|u|")
 
@@ -88,7 +88,7 @@ def test_colours_of_panels_with_one_label_are_those_of_one_scale(beam, tmp_path)
 
 
 def test_fibres_follow_the_layer(tmp_path):
-    """Their points stay near the surface, and each line has the given length."""
+    """Fibre lines stay near the surface of their layer, and have the given length."""
     wall = create_tube_wall(COMM, size=0.5)
     families = fibre_families(wall, fibre_frame(wall))
     panel = pictures.fibres(wall, families, "media", title="media")
@@ -117,6 +117,7 @@ def test_fibres_follow_the_layer(tmp_path):
 
 
 def test_plane_body(tmp_path):
+    """A plane body is drawn."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4)
     picture = pictures.draw(
         tmp_path / "plane.png", pictures.field(ufl.SpatialCoordinate(mesh)[0], "x")
@@ -125,12 +126,14 @@ def test_plane_body(tmp_path):
 
 
 def test_mesh_for_scenes_of_any_kind(beam):
+    """``mesh()`` returns a PyVista mesh with the values, on the first process only."""
     mesh = pictures.field(beam.u, "|u|").mesh()
     agree((mesh is None) == (COMM.rank > 0))
     agree(mesh is None or mesh.point_data["values"].max() > 0.0)
 
 
 def test_nothing_to_draw(tmp_path):
+    """A picture without panels, and a field without a mesh, are refused."""
     with raises(ValueError, "nothing to draw: give a panel"):
         pictures.draw(tmp_path / "none.png")
     with raises(ValueError, "lives on no mesh"):
@@ -138,6 +141,7 @@ def test_nothing_to_draw(tmp_path):
 
 
 def test_arguments_in_another_order(beam, tmp_path):
+    """A panel in place of the path, and a Function in place of a panel, are refused."""
     panel = pictures.field(beam.u, "|u|")
     with raises(TypeError, "path is FieldPanel.*give the name of the file first"):
         pictures.draw(panel, tmp_path / "wall.png")
@@ -146,7 +150,7 @@ def test_arguments_in_another_order(beam, tmp_path):
 
 
 def test_picture_that_cannot_be_written(beam, tmp_path):
-    """All processes raise the error."""
+    """If a picture cannot be written, all processes raise the error."""
     on_first(lambda: (tmp_path / "wall.png").mkdir())
     with raises(IsADirectoryError, "wall.png"):
         pictures.draw(tmp_path / "wall.png", pictures.field(beam.u, "|u|"))
@@ -154,7 +158,7 @@ def test_picture_that_cannot_be_written(beam, tmp_path):
 
 @pytest.mark.serial
 def test_machine_without_a_library_to_draw(monkeypatch, beam, tmp_path):
-    """VTK would end the process."""
+    """Without a graphics library an error is raised, where VTK would end the process."""
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("VTK_DEFAULT_OPENGL_WINDOW", raising=False)
     monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
@@ -163,7 +167,7 @@ def test_machine_without_a_library_to_draw(monkeypatch, beam, tmp_path):
 
 
 def test_without_pyvista(monkeypatch, beam):
-    """The message says how to install it."""
+    """Without PyVista the error explains how to install it."""
     monkeypatch.setattr("importlib.util.find_spec", lambda *_: None)
     with raises(ImportError, "pip install .pyvista"):
         pictures.subdomains(beam)

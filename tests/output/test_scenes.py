@@ -39,13 +39,13 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def array(text: str, dtype: str) -> np.ndarray:
-    """Return an array of a scene, (n, 3)."""
+    """Return a base64-encoded array of a scene as (n, 3)."""
     return np.frombuffer(base64.b64decode(text), dtype=dtype).reshape(-1, 3)
 
 
 @pytest.fixture(scope="module")
 def x_squared() -> dolfinx.fem.Function:
-    """x², on a box of 4 × 1 × 1."""
+    """The function x² on a box of 4 × 1 × 1."""
     mesh = dolfinx.mesh.create_box(COMM, [[0.0, 0.0, 0.0], [4.0, 1.0, 1.0]], [8, 2, 2])
     f = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("Lagrange", 1)))
     f.interpolate(lambda x: x[0] ** 2)
@@ -53,7 +53,7 @@ def x_squared() -> dolfinx.fem.Function:
 
 
 def test_scene_of_a_field(x_squared, tmp_path):
-    """Its points are those of the box over its radius, its colours follow the field."""
+    """A scene has the points of the body over its radius, and colours that follow the field."""
     panel = pictures.field(x_squared, "x² </script>", title="box")
     scene = scenes.write_scene(tmp_path / "new/box.html", panel, limits=(0.0, 16.0))
     data = read(scene.path)
@@ -81,7 +81,7 @@ def test_scene_of_a_field(x_squared, tmp_path):
 
 @pytest.mark.parametrize("viewer", [(0.0, 0.0, 1.0), (0.0, 0.0, -2.0), (0.0, 1.0, 0.0)])
 def test_scene_from_any_side(x_squared, tmp_path, viewer):
-    """Also from above, where the direction to the viewer is the upward one."""
+    """The view looks from the viewer, also if that is the upward direction."""
     panel = pictures.field(x_squared, "x²")
     view = np.array(
         read(scenes.write_scene(tmp_path / "box.html", panel, viewer=viewer).path)["view"]
@@ -92,6 +92,7 @@ def test_scene_from_any_side(x_squared, tmp_path, viewer):
 
 @pytest.mark.parametrize("viewer", [(0.0, 0.0, 0.0), (np.nan, 0.0, 1.0), (np.inf, 0.0, 0.0)])
 def test_direction_to_the_viewer_that_is_none(x_squared, tmp_path, viewer):
+    """A direction that is zero or not finite is refused, and no file is written."""
     panel = pictures.field(x_squared, "x²")
     with raises(ValueError, "viewer=.*give a finite direction that is not zero"):
         scenes.write_scene(tmp_path / "box.html", panel, viewer=viewer)
@@ -99,7 +100,7 @@ def test_direction_to_the_viewer_that_is_none(x_squared, tmp_path, viewer):
 
 
 def test_scene_of_a_plane_body(tmp_path):
-    """It is seen from above, without shading."""
+    """A plane body is seen from above, without shading."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4)
     x = ufl.SpatialCoordinate(mesh)
     data = read(scenes.write_scene(tmp_path / "square.html", pictures.field(x[0], "x")).path)
@@ -108,7 +109,7 @@ def test_scene_of_a_plane_body(tmp_path):
 
 
 def test_file_needs_no_network(x_squared, tmp_path):
-    """A notebook shows it in a frame."""
+    """The file loads nothing from the network, and a notebook shows it in a frame."""
     scene = scenes.write_scene(tmp_path / "box.html", pictures.field(x_squared, "x²"))
     text = on_first(lambda: scene.path.read_text(encoding="utf-8"))
     agree("{{" not in text and not re.search(r"https?:|src=|href=|import ", text))
@@ -117,7 +118,7 @@ def test_file_needs_no_network(x_squared, tmp_path):
 
 
 def test_scene_of_subdomains(tmp_path):
-    """Each has one colour."""
+    """Each subdomain has one colour."""
     mesh = dolfinx.mesh.create_unit_cube(COMM, 4, 4, 4)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
     u = ufl.TrialFunction(V)
@@ -132,7 +133,7 @@ def test_scene_of_subdomains(tmp_path):
 
 
 def test_scene_of_fibres(tmp_path):
-    """The layer, and a body for each family."""
+    """A scene of fibres has a body for the layer and one for each family."""
     wall = create_tube_wall(COMM, length=1.0, size=0.6)
     families = fibre_families(wall, fibre_frame(wall), {"media": 29.0, "adventitia": 62.0})
     panel = pictures.fibres(wall, list(families), "media")
@@ -143,6 +144,7 @@ def test_scene_of_fibres(tmp_path):
 
 
 def test_scene_that_cannot_be_written_fails_on_all_processes(x_squared, tmp_path):
+    """A scene that cannot be written is an error on all processes."""
     on_first(lambda: (tmp_path / "box.html").mkdir())
     panel = pictures.field(x_squared, "x²")
     with raises(IsADirectoryError, "box.html"):

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Recovered fields: what is reproduced, what jumps, and that processes do not matter."""
+"""Recovered fields reproduce linear ones, jump at interfaces, and ignore the partition."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ ROUNDING = 1e4 * np.finfo(float).eps
 
 
 def mesh_of(dim: int, comm: MPI.Comm = COMM) -> dolfinx.mesh.Mesh:
-    """A square, or a quarter tube of two layers, one of them one element thick."""
+    """Return a square, or a quarter tube of two layers, one of them one element thick."""
     if dim == 2:
         return cube(2, 6, comm=comm)
     return tube(comm, media=2, adventitia=1, around=5, along=2, quarter=True)
 
 
 def split(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.MeshTags:
-    """Tags 7 and 3 of an inner and an outer layer."""
+    """Return the tags 7 and 3 of an inner and an outer layer."""
     dim = mesh.topology.dim
     cells = mesh.topology.index_map(dim)
     every = np.arange(cells.size_local + cells.num_ghosts, dtype=np.int32)
@@ -46,7 +46,7 @@ def split(mesh: dolfinx.mesh.Mesh) -> dolfinx.mesh.MeshTags:
 
 
 def step(layers: dolfinx.mesh.MeshTags, mesh: dolfinx.mesh.Mesh) -> dolfinx.fem.Function:
-    """Zero in the one layer, one in the other."""
+    """Return the function that is zero in the one layer and one in the other."""
     Q = dolfinx.fem.functionspace(mesh, ("DG", 0))
     f = dolfinx.fem.Function(Q)
     f.x.array[Q.dofmap.list[layers.find(3), 0]] = 1.0
@@ -54,7 +54,7 @@ def step(layers: dolfinx.mesh.MeshTags, mesh: dolfinx.mesh.Mesh) -> dolfinx.fem.
 
 
 def linear(mesh: dolfinx.mesh.Mesh, jump: Expr) -> Expr:
-    """A stress that is linear in each layer, and another one in each."""
+    """Return a stress that is linear in each layer and jumps between them."""
     dim = mesh.geometry.dim
     x = ufl.SpatialCoordinate(mesh)
     one = np.arange(1.0, dim**2 + 1).reshape(dim, dim)
@@ -63,7 +63,7 @@ def linear(mesh: dolfinx.mesh.Mesh, jump: Expr) -> Expr:
 
 
 def nodes(expression: Expr, mesh: dolfinx.mesh.Mesh) -> Array:
-    """Values at the nodes of the quadratic element in the owned cells, (cells, nodes, …)."""
+    """Return values at the nodes of the quadratic element in owned cells, (cells, nodes, …)."""
     dim = mesh.topology.dim
     corners = np.vstack([np.zeros(dim), np.eye(dim)])
     edges = [(corners[i] + corners[j]) / 2 for i in range(dim + 1) for j in range(i)]
@@ -84,6 +84,7 @@ def patches_of(mesh: dolfinx.mesh.Mesh) -> tuple[Patches, Expr]:
 @pytest.mark.parametrize("with_normal", [False, True])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_linear_stresses_with_a_jump(dim, with_normal):
+    """Stresses that are linear in each layer, with a jump between them, are reproduced."""
     mesh = mesh_of(dim)
     patches, jump = patches_of(mesh)
     stress = linear(mesh, jump)
@@ -95,7 +96,7 @@ def test_linear_stresses_with_a_jump(dim, with_normal):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_linear_pressure_from_its_means(dim):
-    """An element-wise pressure holds the means of a linear one."""
+    """A linear pressure is recovered from its means over the elements."""
     mesh = mesh_of(dim)
     patches, jump = patches_of(mesh)
     x = ufl.SpatialCoordinate(mesh)
@@ -116,7 +117,7 @@ def test_linear_pressure_from_its_means(dim):
 
 
 def test_smooth_fields_with_the_second_power_of_the_size():
-    """Linear fits have this order, and later sweeps keep it."""
+    """Smooth fields are recovered to second order in the cell size, after later sweeps too."""
     errors = []
     for n in (6, 12):
         mesh = cube(2, n)
@@ -128,7 +129,7 @@ def test_smooth_fields_with_the_second_power_of_the_size():
 
 
 def test_a_field_is_continuous_in_each_layer():
-    """This holds for noise, too; it jumps at the interface of the layers."""
+    """A recovered field is continuous in each layer, even from noise, and jumps between layers."""
     mesh = mesh_of(3)
     patches, jump = patches_of(mesh)
     noise = dolfinx.fem.Function(jump.function_space)
@@ -144,7 +145,7 @@ def test_a_field_is_continuous_in_each_layer():
 
 
 def spread_at(places: Array, values: Array) -> Array:
-    """Greatest less smallest value at each place."""
+    """Return greatest minus smallest value at each place."""
     _, index = np.unique(places, axis=0, return_inverse=True)
     count = index.max() + 1
     high = np.full(count, -np.inf)
@@ -156,7 +157,7 @@ def spread_at(places: Array, values: Array) -> Array:
 
 @pytest.mark.parametrize("with_normal", [False, True])
 def test_processes_do_not_matter(with_normal):
-    """Patches reach across the boundaries of processes."""
+    """Recovered fields do not depend on the partition."""
     found = []
     for comm in (COMM, MPI.COMM_SELF):
         mesh = mesh_of(3, comm)
@@ -175,7 +176,7 @@ def test_processes_do_not_matter(with_normal):
 
 
 def test_one_cell():
-    """On all processes but one there is none; a patch without extent takes the mean."""
+    """On a mesh of one cell, whose patches have no extent, the mean is recovered."""
     mesh = create_mesh(COMM, np.vstack([np.zeros(3), np.eye(3)]), np.arange(4)[None])
     x = ufl.SpatialCoordinate(mesh)
     patches = create_patches(mesh)
@@ -186,7 +187,7 @@ def test_one_cell():
 
 
 def test_with_a_normal_means_count_along_the_wall_only():
-    """Inside the cells of the second stress lies something without a mean."""
+    """With a normal, in-plane stresses are fitted to the cells' means, and others to all values."""
     mesh = mesh_of(2)
     patches, jump = patches_of(mesh)
     x = ufl.SpatialCoordinate(mesh)
@@ -294,12 +295,13 @@ REFUSED = {
 
 @each(("call", "error", "message"), REFUSED)
 def test_bad_input(call, error, message):
+    """Data, tags and normals that do not fit the patches are refused."""
     with raises(error, message):
         call(Plane())
 
 
 def test_patches_follow_a_mesh_that_moves():
-    """As unload moves it: linear fields stay exact."""
+    """Patches follow a mesh that ``unload`` moves, so that linear fields stay exact."""
     mesh = mesh_of(3)
     layers = split(mesh)
     patches = create_patches(mesh, layers)
@@ -347,13 +349,13 @@ def norm(u: dolfinx.fem.Function, f: Expr) -> float:
 
 
 def test_accurate_stress_stays(u):
-    """Whatever its pressure does along the wall."""
+    """A stress with constant tractions along the normal is not changed."""
     stress, n = steady(u)
     small(norm(u, balanced_stress(stress, u, normal=n) - stress), 1e-12)
 
 
 def test_pressure_that_is_off_is_put_right(u):
-    """One without a linear part in any cell, as what a linear pressure cannot follow."""
+    """A pressure error without a linear part in any cell is removed."""
     stress, n = steady(u)
     mesh = u.function_space.mesh
     wave = ufl.cos(5.0 * ufl.SpatialCoordinate(mesh)[0])

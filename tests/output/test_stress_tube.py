@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Recovered stresses of the inflated tube beside its semi-analytical ones, P2–P0, κ = 1000 kPa."""
+"""Recovered stresses of an inflated tube agree with semi-analytical ones: P2–P0, κ = 1000 kPa."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ KAPPA = 1000.0
 
 
 def inflated(size: float, pressures: list[float]) -> dict[float, dict[str, float]]:
-    """Inflate a quarter tube, as long as its elements; return relative errors by pressure.
+    """Inflate a quarter tube, one element long, and return relative errors by pressure.
 
     They are those of σ_rr and σ_θθ inside the cells (``stress_``), recovered without a normal
     (``plain_``) and with it (``recovered_``), of the mean of σ_θθ over the media, and of p.
@@ -54,7 +54,7 @@ def inflated(size: float, pressures: list[float]) -> dict[float, dict[str, float
 
 
 def mean_hoop(truth: Tube) -> float:
-    """Mean of σ_θθ over the deformed media [kPa]."""
+    """Return the mean of σ_θθ over the deformed media [kPa]."""
     radii = np.linspace(truth.wall.layers[0].inner, truth.wall.layers[0].outer, 400)
     r = np.array([truth.radius(R) for R in radii])
     stress = np.array([truth.stress(R)[1] for R in radii])
@@ -62,7 +62,7 @@ def mean_hoop(truth: Tube) -> float:
 
 
 def pressure_error(tube: InflatedTube, truth: Tube, p: dolfinx.fem.Function) -> float:
-    """Error of a pressure in the media, relative to the truth p = κ (J − 1)."""
+    """Return the error of a pressure in the media, relative to p = κ (J − 1)."""
     radii = np.linspace(truth.wall.layers[0].inner, truth.wall.layers[0].outer, 100)
     exact = [KAPPA * (truth.jacobian(R) - 1) for R in radii]
     media = tube.layer == 0
@@ -86,7 +86,7 @@ def tube() -> dict[float, dict[str, float]]:
     ],
 )
 def test_bounds(tube, mmhg, inside, hoop, radial):
-    """Errors of σ_θθ and σ_rr are at most ``hoop`` and ``radial`` if recovered with the normal.
+    """Recovered with the normal, errors of σ_θθ and σ_rr are at most ``hoop`` and ``radial``.
 
     Inside the cells they are larger than the numbers ``inside``. Recovered without a normal, the
     stress along the wall is less accurate, and tractions are the same.
@@ -102,7 +102,7 @@ def test_bounds(tube, mmhg, inside, hoop, radial):
 
 
 def test_order_of_convergence():
-    """About two at 10 mmHg, where the stresses inside the cells have one."""
+    """Recovered stresses at 10 mmHg converge with about order two, those inside cells with one."""
     coarse, half = (inflated(size, [10.0])[10.0] for size in (0.13, 0.065))
     for component in ("tt", "rr"):
         inside, recovered = (

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Surfaces of bodies for pictures: areas, closedness and values, on any number of processes."""
+"""Surfaces of bodies for pictures: areas, closedness and values, for any partition."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CELLS = {
 
 
 def create_body(cell: str) -> dolfinx.mesh.Mesh:
-    """The unit square or cube, with a vertex at a multiple of 2⁻⁹."""
+    """Return the unit square or cube, with a vertex at a multiple of 2⁻⁹."""
     kind = CELLS[cell]
     if cell in ("triangle", "quadrilateral"):
         return dolfinx.mesh.create_unit_square(COMM, 4, 4, cell_type=kind)
@@ -31,7 +31,7 @@ def create_body(cell: str) -> dolfinx.mesh.Mesh:
 
 
 def areas(surface: BodySurface) -> np.ndarray:
-    """Vectors normal to the triangles, with their areas, (t, 3)."""
+    """Return the area vectors of the triangles, (t, 3)."""
     x = surface.points[surface.triangles]
     return np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) / 2
 
@@ -42,7 +42,7 @@ def from_root(value: float | None) -> float:
 
 @pytest.mark.parametrize("cell", CELLS)
 def test_area_of_a_body(cell):
-    """The square has the area 1, the cube 6, on any number of processes."""
+    """The square has the area 1 and the cube 6, for any partition."""
     surface = gather_surface(create_body(cell), None, None)
     agree((surface is None) == (COMM.rank > 0))
     area = from_root(None if surface is None else np.linalg.norm(areas(surface), axis=1).sum())
@@ -51,7 +51,7 @@ def test_area_of_a_body(cell):
 
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
 def test_outside_is_on_the_left_hand_turn(cell):
-    """The divergence theorem gives the volume, of each part alone and of the body."""
+    """Triangles are oriented outwards, so that the divergence theorem gives each volume."""
     mesh = create_body(cell)
     n_cells = mesh.topology.index_map(3).size_local
     one = COMM.rank * np.ones(n_cells, dtype=np.int64)
@@ -66,7 +66,7 @@ def test_outside_is_on_the_left_hand_turn(cell):
 
 @pytest.mark.parametrize("cell", CELLS)
 def test_displacement_and_values_are_exact_at_the_points(cell):
-    """Quadratic fields are exact at the nodes of a quadratic element."""
+    """Quadratic fields are exact at the points of a surface."""
     mesh = create_body(cell)
     gdim = mesh.geometry.dim
     x = ufl.SpatialCoordinate(mesh)
@@ -79,7 +79,7 @@ def test_displacement_and_values_are_exact_at_the_points(cell):
 
 
 def test_points_are_shared_inside_of_a_part_alone():
-    """4 × 4 squares have 9 × 9 nodes of a quadratic element; two halves share none."""
+    """Cells of one part share their points, and cells of different parts do not."""
     mesh = create_body("quadrilateral")
     surface = gather_surface(mesh, None, None)
     agree(from_root(None if surface is None else len(surface.points)) == 81)
@@ -91,13 +91,14 @@ def test_points_are_shared_inside_of_a_part_alone():
 
 
 def test_vectors_in_the_plane_get_a_third_component():
+    """Vectors in the plane get a third component of zero."""
     mesh = create_body("triangle")
     surface = gather_surface(mesh, ufl.as_vector([1.0, 2.0]) * ufl.SpatialCoordinate(mesh)[0], None)
     agree(surface is None or surface.values.shape[1] == 3)
 
 
 def test_part_of_a_body():
-    """Half of the cube has the surface 2 + 4/2."""
+    """The surface of half a cube has the area 2 + 4/2."""
     mesh = create_body("tetrahedron")
     n_cells = mesh.topology.index_map(3).size_local
     middles = dolfinx.mesh.compute_midpoints(mesh, 3, np.arange(n_cells, dtype=np.int32))
@@ -107,7 +108,7 @@ def test_part_of_a_body():
 
 
 def test_faces_that_do_not_share_their_points():
-    """A field that jumps keeps its value in each of 16 cells."""
+    """A field that jumps keeps its value in each cell, if faces share no points."""
     mesh = create_body("quadrilateral")
     jumping = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
     jumping.interpolate(lambda x: np.where(x[0] < 0.5, 1.0, 2.0))

@@ -273,7 +273,7 @@ def test_vessel_points_outwards(vessel):
 
 
 def spoiled(wall, frame, where):
-    """The gradient of the transmural problem, nothing where the file's cell numbers say so."""
+    """Return the transmural gradients, scaled by 1e-4 in the cells numbered ``where``."""
     gradient = vectors(frame.transmural).copy()
     number = wall.mesh.topology.original_cell_index
     gradient[np.isin(number, where)] *= 1e-4

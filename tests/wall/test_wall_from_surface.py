@@ -90,7 +90,7 @@ class Body:
         return problem.history
 
     def balanced(self):
-        """Require what dolfinx alone assembles to vanish on the free dofs; the rest is held."""
+        """Require equilibrium of the free dofs by dolfinx alone, and prescribed dofs in place."""
         free, whole = free_residual(self.residual, self.boundary.bcs)
         small(free / (whole if self.boundary.bcs else PRESSURE), 1e-7)
         held = self.u.x.array.copy()

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Compiled energies: their values, what they follow, and what is refused."""
+"""Compiled energies have UFL's values, follow their parameters, and refuse bad input."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def states(n, seed=7331):
     "psi", [neo_hookean, energies.mooney_rivlin, energies.hgo, energies.linear]
 )
 def test_values_are_those_of_ufl(psi):
-    """UFL's own evaluation, which needs no compiler; a few entries of A, as it is slow."""
+    """Energy, stress and tangent are those of UFL's own evaluation."""
     at = evaluate(compiled(psi), F_ANY)
     F = variable(F_ANY)
     C = kinematics.right_cauchy_green(F)
@@ -50,6 +50,7 @@ def test_values_are_those_of_ufl(psi):
 
 @pytest.mark.parametrize("n", [1, 64, 65, 200])
 def test_states_do_not_depend_on_each_other(n):
+    """The value of a state does not depend on the number of states evaluated at once."""
     F = states(n)
     at = evaluate(compiled(energies.hgo), F)
     assert at.psi.shape == (n,) and at.P.shape == (n, 3, 3) and at.A.shape == (n, 3, 3, 3, 3)
@@ -61,6 +62,7 @@ def test_states_do_not_depend_on_each_other(n):
 
 
 def test_nan_reaches_its_own_state_only():
+    """A NaN in one state does not change the values of others."""
     F = states(5)
     before = evaluate(compiled(energies.hgo), F)
     F[2, 0, 1] = np.nan
@@ -70,6 +72,7 @@ def test_nan_reaches_its_own_state_only():
 
 
 def test_kappa_adds_the_volumetric_energy():
+    """``kappa`` adds κ/2 (J − 1)²."""
     F = states(3)
     J = np.linalg.det(F)
     pure, both = (evaluate(material(neo_hookean, kappa=kappa), F) for kappa in (0.0, 70.0))
@@ -82,7 +85,7 @@ def test_kappa_adds_the_volumetric_energy():
 
 
 def test_parameters_change_without_compilation(tmp_path):
-    """Nor does the same energy compile again in a process that has made other forms."""
+    """New parameter values compile nothing, nor does the same energy a second time."""
     options = {**JIT, "cache_dir": tmp_path}
     first = compile_material(neo_hookean, parameters={"c": 1.0}, jit_options=options)
     made = sorted(path.name for path in tmp_path.iterdir())
@@ -97,6 +100,7 @@ def test_parameters_change_without_compilation(tmp_path):
 
 
 def test_constants_of_another_mesh_are_followed():
+    """Constants in an energy are evaluated with their present values."""
     mesh = dolfinx.mesh.create_unit_square(MPI.COMM_SELF, 1, 1)
     c = dolfinx.fem.Constant(mesh, 3.0)
     a = dolfinx.fem.Constant(mesh, (np.cos(0.5), np.sin(0.5), 0.0))
@@ -112,7 +116,7 @@ def test_constants_of_another_mesh_are_followed():
 
 
 def test_states_outside_the_domain_are_marked():
-    """J < 0 gives a NaN, also without an argument J; a huge stretch overflows the exponential."""
+    """States outside the domain of the energy are NaN: J < 0, or an overflow."""
     F = np.stack([np.eye(3), np.diag([-1.0, 1.0, 1.0]), np.diag([30.0, 1.0, 1 / 30])])
     np.testing.assert_array_equal(evaluate(compiled(energies.fung), F).finite, [True, False, False])
     without_J = compile_material(partial(materials.neo_hookean, c=3.0), jit_options=JIT)
@@ -147,6 +151,7 @@ NAN = float("nan")
     ],
 )
 def test_bad_material(psi, options, error, message):
+    """Energies with wrong arguments, shapes or parameters are refused."""
     with pytest.raises(error, match=message):
         compile_material(psi, **options, jit_options=JIT)
 
@@ -155,10 +160,12 @@ def test_bad_material(psi, options, error, message):
     "F", [np.eye(2), np.ones(9), np.empty((0, 3, 3))], ids=["plane", "nine-numbers", "no-state"]
 )
 def test_bad_states(F):
+    """States of a wrong shape are refused."""
     with pytest.raises(ValueError, match="F has the shape"):
         evaluate(compiled(neo_hookean), F)
 
 
 def test_parameters_that_are_not_compiled():
+    """A parameter that the material was not compiled with is refused."""
     with pytest.raises(ValueError, match=r"compiled with the parameters \['c'\]"):
         material(neo_hookean, c=1.0).with_parameters(k=2.0)

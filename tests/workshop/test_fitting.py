@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Fits: known parameters are found, and intervals cover them as often as they say."""
+"""Fits find known parameters, and their intervals cover them as often as stated."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RUBBER = {"c10": 2.0, "c01": 0.5}
 
 
 def measured(psi, parameters, path, *, noise=0.0, seed=0, measure="piola", kappa=np.inf, **other):
-    """Synthetic data."""
+    """Return synthetic data with noise."""
     exact = stresses(respond(material(psi, kappa=kappa, **parameters), path), measure)
     errors = noise * np.random.default_rng(seed).standard_normal(exact.shape)
     return DataSet(path, exact + errors, measure=measure, **other)
@@ -40,6 +40,7 @@ def measured(psi, parameters, path, *, noise=0.0, seed=0, measure="piola", kappa
 
 @pytest.mark.parametrize("kappa", [np.inf, 200.0])
 def test_exact_data_give_the_parameters(kappa):
+    """A fit to exact data finds their parameters."""
     data = [
         measured(mooney_rivlin, RUBBER, uniaxial(STRETCH), measure="cauchy", kappa=kappa),
         measured(mooney_rivlin, RUBBER, biaxial(STRETCH, STRETCH**0.5), kappa=kappa),
@@ -53,7 +54,7 @@ def test_exact_data_give_the_parameters(kappa):
 
 @pytest.mark.parametrize("seed", [11, 12])
 def test_noisy_data_of_a_wall(seed):
-    """Strips along and across, a sheet: 99.9 % intervals hold the true values, and are narrow."""
+    """From noisy strips and sheets of a wall, narrow 99.9 % intervals cover the parameters."""
     paths = uniaxial(STRETCH), uniaxial(STRETCH, along=(0, 1, 0)), equibiaxial(STRETCH)
     data = [measured(hgo, HGO, path, noise=0.05, seed=(seed, k)) for k, path in enumerate(paths)]
     start = {"c": 1.0, "k1": 1.0, "k2": 0.3}
@@ -67,16 +68,17 @@ def test_noisy_data_of_a_wall(seed):
 
 
 def slopes(path):
-    """Stresses of rubber for c₁₀ = 1 and for c₀₁ = 1, (n, 2)."""
+    """Return the stresses of rubber for c₁₀ = 1 and for c₀₁ = 1, (n, 2)."""
     units = {"c10": 1.0, "c01": 0.0}, {"c10": 0.0, "c01": 1.0}
     found = (respond(material(mooney_rivlin, **each), path) for each in units)
     return np.column_stack([stresses(response, "piola").ravel() for response in found])
 
 
 def test_intervals_cover_as_often_as_they_say():
-    """The stresses of rubber are linear in c₁₀ and c₀₁, so that Student's t is exact.
+    """80 % intervals of a linear model cover the parameter in 80 % of the fits.
 
-    80 % of 4000 intervals: standard deviation 0.6 %.
+    The stresses of rubber are linear in c₁₀ and c₀₁, so that Student's t is exact. With 4000
+    intervals the standard deviation is 0.6 %.
     """
     R = slopes(uniaxial(STRETCH))
     rng = np.random.default_rng(2003)
@@ -90,6 +92,7 @@ def test_intervals_cover_as_often_as_they_say():
 
 
 def test_covariance_is_that_of_linear_regression():
+    """For a linear model the covariance is that of linear regression."""
     data = [measured(mooney_rivlin, RUBBER, equibiaxial(STRETCH), noise=0.1, seed=5)]
     found = fit(mooney_rivlin, data, {"c10": 1.0, "c01": 1.0}, jit_options=JIT)
     R = slopes(data[0].path)
@@ -100,7 +103,7 @@ def test_covariance_is_that_of_linear_regression():
 
 
 def test_weights_count():
-    """Two data sets that contradict each other; the heavier one wins."""
+    """Of two contradicting data sets, the result is the mean weighted by squared weights."""
     pairs = ((2.0, 1.0), (4.0, 3.0))
     strip = uniaxial(STRETCH)
     data = [measured(neo_hookean, {"c": c}, strip, weight=weight) for c, weight in pairs]
@@ -109,6 +112,7 @@ def test_weights_count():
 
 
 def test_parameter_on_its_bound_has_no_interval():
+    """A parameter on its bound has no confidence interval."""
     data = [measured(mooney_rivlin, {"c10": 2.0, "c01": 0.0}, uniaxial(STRETCH), noise=0.01)]
     bounds = {"c01": (0.1, 10.0)}
     found = fit(mooney_rivlin, data, {"c10": 1.0, "c01": 1.0}, bounds=bounds, jit_options=JIT)
@@ -121,7 +125,7 @@ def test_parameter_on_its_bound_has_no_interval():
 
 
 def test_data_that_do_not_determine_a_parameter():
-    """Simple shear of rubber determines c₁₀ + c₀₁ only."""
+    """Simple shear, which determines only c₁₀ + c₀₁, gives unbounded intervals and a note."""
     data = [measured(mooney_rivlin, RUBBER, simple_shear(STRETCH - 1), noise=0.01)]
     found = fit(mooney_rivlin, data, {"c10": 1.0, "c01": 1.0}, jit_options=JIT)
     assert sum(found.values.values()) == pytest.approx(2.5, rel=0.05)
@@ -131,6 +135,7 @@ def test_data_that_do_not_determine_a_parameter():
 
 
 def test_tables():
+    """A fit prints a table of parameters and one of data sets."""
     data = [measured(neo_hookean, {"c": 3.0}, uniaxial(STRETCH), noise=0.01, name="strip")]
     lines = str(fit(neo_hookean, data, {"c": 1.0}, jit_options=JIT)).splitlines()
     assert lines[0].split()[:3] == ["parameter", "value", "95"]
@@ -144,6 +149,7 @@ def test_tables():
 
 
 def test_picture(tmp_path):
+    """``plot_responses`` draws responses and data with labels, and refuses bad arguments."""
     pytest.importorskip("matplotlib")
     curves = [respond(material(hgo), path) for path in (uniaxial(STRETCH), simple_shear([0, 0.5]))]
     sheet = measured(hgo, HGO, equibiaxial(STRETCH), name="sheet")
@@ -187,6 +193,7 @@ STRIP = uniaxial([1.0, 1.1, 1.2])
     ],
 )
 def test_bad_input(arguments, message):
+    """Data, starts and bounds that do not fit the energy are refused."""
     good = {"path": STRIP, "stress": [0.0, 1.0, 2.0], "start": {"c": 1.0}} | arguments
     with pytest.raises(ValueError, match=message):
         data = [DataSet(good.pop("path"), good.pop("stress"), measure="cauchy")]
@@ -194,7 +201,7 @@ def test_bad_input(arguments, message):
 
 
 def test_start_without_equilibrium():
-    """Fibres so stiff that the exponential overflows; the message names set, state and values."""
+    """If the start has no equilibrium, the error names data set, state and values."""
     path = equibiaxial([1.1, 3.0])
     data = [DataSet(path, np.ones((2, 2)), measure="cauchy", name="sheet")]
     with pytest.raises(ConvergenceError, match=r"no equilibrium at 1 states of sheet, .* λ = 3"):
@@ -202,7 +209,7 @@ def test_start_without_equilibrium():
 
 
 def test_fit_that_leaves_the_domain_of_the_energy():
-    """Data of the wrong sign drive an unbounded c to zero, where its root ends."""
+    """A fit driven out of the energy's domain is an error that says so."""
     data = [DataSet(STRIP, [0.0, -1.0, -2.0], measure="cauchy")]
     with pytest.raises(ConvergenceError, match="give bounds, or another start"):
         fit(lambda C, J, c: ufl.sqrt(c) * neo_hookean(C, J), data, {"c": 1.0}, jit_options=JIT)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Checks: good materials pass, and every broken energy fails the check that is meant for it."""
+"""Good materials pass all checks, and each broken one fails the check made for it."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def outcomes(checks, *kinds):
     "psi", [hgo, goh, oblique, holzapfel_ogden, fung, energies.neo_hookean, energies.mooney_rivlin]
 )
 def test_good_materials_pass(psi, kappa):
-    """Only the kink of fibres that do not push is worth a warning."""
+    """Good materials pass, with at most a warning of the kink of fibres without compression."""
     report = check(material(psi, kappa=kappa), n=9)
     assert report.ok
     fibres = psi in (hgo, goh, oblique, holzapfel_ogden)
@@ -65,7 +65,7 @@ def test_good_materials_pass(psi, kappa):
 
 
 def test_large_kappa_hides_nothing():
-    """Ψ itself is checked, without κ/2 (J − 1)², which would set the scale of all deviations."""
+    """Checks scale with Ψ itself, so that a large κ does not hide its errors."""
     soft, stiff = (check(material(hgo, kappa=kappa), n=5).checks for kappa in (10.0, 1e5))
     assert [c.value for c in soft[:11]] == [c.value for c in stiff[:11]]
     assert "elliptic" in soft[-1].name and soft[-1].value != stiff[-1].value
@@ -83,7 +83,7 @@ KINKS = ("uniaxial", "equibiaxial", "pure shear", "inflation–extension")
     ],
 )
 def test_loss_of_ellipticity_is_a_warning_with_the_stretch(psi, kappa, lost):
-    """In strong compression and tension, where fibres shorten, and where they kink."""
+    """A loss of ellipticity is a warning that states the stretch."""
     report = check(material(psi, kappa=kappa), n=9)
     assert report.ok
     notes = {c.name: c.note for c in report.checks if c.outcome == "warn"}
@@ -106,6 +106,7 @@ def test_loss_of_ellipticity_is_a_warning_with_the_stretch(psi, kappa, lost):
     ],
 )
 def test_broken_energy_fails_its_check(psi, failures):
+    """Each broken energy fails exactly the checks made for it."""
     report = check(material(psi), n=5)
     assert not report.ok
     found = outcomes(report.checks, "fail")
@@ -113,6 +114,7 @@ def test_broken_energy_fails_its_check(psi, failures):
 
 
 def test_wrong_sign_fails():
+    """An energy of the wrong sign fails stiffness and ellipticity, and has no Young's modulus."""
     report = check(material(energies.wrong_sign), n=5)
     assert outcomes(report.checks, "fail") >= {"stiffness at rest positive", f"{ELLIPTIC}uniaxial"}
     assert "least energy at the reference" in outcomes(report.checks, "warn")
@@ -121,13 +123,14 @@ def test_wrong_sign_fails():
 
 
 def test_nothing_resists_a_change_of_volume():
+    """An energy that resists no change of volume fails its check."""
     report = check(material(energies.neo_hookean, kappa=0.0), n=5)
     (found,) = (c for c in report.checks if c.name == "stiffness at rest positive")
     assert found.outcome == "warn" and "kappa" in found.note
 
 
 def test_no_stiffness_at_rest():
-    """Ψ = (Ī₁ − 3)²: everything at rest is zero, and nothing is divided by it."""
+    """An energy without stiffness at rest, (Ī₁ − 3)², is reported without a division by zero."""
     report = check(material(energies.flat), n=5)
     assert "stiffness at rest positive" in outcomes(report.checks, "warn")
     failed = outcomes(report.checks, "fail")
@@ -137,7 +140,7 @@ def test_no_stiffness_at_rest():
 
 
 def test_nan_is_reported_with_its_state():
-    """The energy is NaN where C₁₁ > 1.3: in tension from λ = √1.3 = 1.14 on, not in shear."""
+    """The report names the states whose energy is NaN, here C₁₁ > 1.3."""
     report = check(material(energies.not_a_number), n=11)
     checks = {c.name: c for c in report.checks}
     finite = checks["finite values"]
@@ -154,6 +157,7 @@ def test_nan_is_reported_with_its_state():
 
 
 def test_nan_at_rest():
+    """An energy that is NaN at rest fails."""
     report = check(material(energies.root), n=5)
     assert report.moduli is None and report.ellipticity == ()
     failed = {c.name: c.note for c in report.checks if c.outcome == "fail"}
@@ -166,7 +170,7 @@ def test_nan_at_rest():
 
 
 def tampered(change):
-    """States of a good material with a change of P or A."""
+    """Return states of a good material with a change of P or A."""
 
     def law(F):
         at = evaluate(material(energies.neo_hookean), F)
@@ -176,7 +180,7 @@ def tampered(change):
 
 
 def lopsided(at):
-    """A tangent without major symmetry."""
+    """Return a change that removes the major symmetry of the tangent."""
     A = at.A.copy()
     A[:, 0, 0, 1, 1] *= 1.01
     return {"A": A}
@@ -196,6 +200,7 @@ def lopsided(at):
     ],
 )
 def test_tampered_law(change, failures):
+    """A wrong stress or tangent fails its check."""
     found = check_law(tampered(change), strain=0.3, incompressible=True)
     assert outcomes(found, "fail") == failures
 
@@ -205,7 +210,10 @@ def test_tampered_law(change, failures):
     ("psi", "jump"), [(energies.neo_hookean, False), (energies.saint_venant, False), (hgo, True)]
 )
 def test_jump_of_the_tangent(psi, jump, kappa):
-    """In compression all fibres drop out: 8 k₁ M₁₁² of A₁₁₁₁, more than the shear modulus c."""
+    """The jump of the tangent where fibres drop out is reported with its size.
+
+    It is 8 k₁ M₁₁² of A₁₁₁₁, more than the shear modulus c.
+    """
     law = partial(evaluate, material(psi, kappa=kappa))
     found = check_law(law, strain=0.3, incompressible=True)
     (kink,) = (c for c in found if c.name == KINK)
@@ -215,6 +223,7 @@ def test_jump_of_the_tangent(psi, jump, kappa):
 
 @pytest.mark.parametrize("is_required", [True, False])
 def test_nan_does_not_pass(is_required):
+    """A comparison with NaN fails, with the state in its note."""
     F = np.eye(3)[None].repeat(2, axis=0)
     found = compare_with_bound("property", np.array([0.0, np.nan]), 1.0, F, is_required=is_required)
     assert found.outcome == "fail" and found.note.startswith(
@@ -224,6 +233,7 @@ def test_nan_does_not_pass(is_required):
 
 @pytest.mark.parametrize("incompressible", [True, False])
 def test_random_states(incompressible):
+    """Random states have bounded stretches, and keep their volume if incompressible."""
     F = random_states(np.random.default_rng(3), 50, 0.4, incompressible=incompressible)
     stretches = np.log(np.linalg.svd(F, compute_uv=False))
     assert np.linalg.det(F).min() > 0
@@ -237,6 +247,7 @@ def test_random_states(incompressible):
 
 
 def test_text():
+    """The report prints each check with its outcome."""
     report = check(material(energies.neo_hookean, kappa=1000.0, c=C), n=5)
     lines = str(report).splitlines()
     assert lines[0] == "material: kappa = 1000 kPa, c = 3"
@@ -248,7 +259,7 @@ def test_text():
 
 
 def test_a_check_compiles_nothing(monkeypatch):
-    """All states of two families of fibres go through the one energy that is compiled."""
+    """A check compiles nothing beyond the material itself."""
     user = material(hgo)
     monkeypatch.delattr("dolfinx.fem.Expression")
     assert check(user).ok
@@ -265,6 +276,7 @@ def test_a_check_compiles_nothing(monkeypatch):
     ],
 )
 def test_bad_input(arguments, message):
+    """Arguments of a check out of range are refused."""
     with pytest.raises(ValueError, match=message):
         check(material(energies.neo_hookean), **arguments)
 
@@ -295,7 +307,10 @@ def brute_force(F, A, incompressible, n=200_000, seed=4099):
 
 @pytest.mark.parametrize("make", [uniaxial, equibiaxial, pure_shear, inflation])
 def test_neo_hookean_is_elliptic_everywhere(make):
-    """There m · Q(n) m = c |Fᵀ n|² for m ⟂ n, at least c times the smallest squared stretch."""
+    """A neo-Hookean solid is elliptic with at least c times the least squared stretch.
+
+    There m · Q(n) m = c |Fᵀ n|² for m ⟂ n.
+    """
     scan = scan_ellipticity(material(energies.neo_hookean), make, np.linspace(0.5, 2.0, 7))
     stretches = np.linalg.svd(scan.path.F, compute_uv=False)
     np.testing.assert_allclose(scan.least, C * stretches[:, -1] ** 2, rtol=1e-7)
@@ -304,9 +319,10 @@ def test_neo_hookean_is_elliptic_everywhere(make):
 
 @pytest.mark.parametrize("make", [uniaxial, equibiaxial, pure_shear, partial(inflation, axial=1.2)])
 def test_fibres_kink_in_compression(make):
-    """Standard reinforcing model: n and m ⟂ n along and across the fibre, λ² (c + 2 k (λ² − 1)).
+    """The standard reinforcing model loses ellipticity at λ² = 1 − c/(2 k) along the fibre.
 
-    So ellipticity is lost where the fibre is as short as λ² = 1 − c/(2 k), whatever the rest.
+    With n and m ⟂ n along and across the fibre, m · Q(n) m is λ² (c + 2 k (λ² − 1)), whatever the
+    other stretches are.
     """
     scan = scan_ellipticity(material(energies.reinforced), make, np.linspace(0.6, 1.4, 9))
     assert scan.lost == pytest.approx((SHORTEST,), abs=1e-7)
@@ -318,7 +334,7 @@ def test_fibres_kink_in_compression(make):
 
 
 def test_both_sides_are_searched():
-    """The reinforcing fibres shorten in simple shear of either sign across them."""
+    """A loss of ellipticity is found for either sign of the shear."""
     turned = partial(simple_shear, along=(0, 1, 1), across=(0, -1, 1))
     scan = scan_ellipticity(material(energies.reinforced), turned, np.linspace(-0.5, 0.5, 5))
     assert scan.lost == () and scan.rest == 0
@@ -361,7 +377,7 @@ UNLOST = [energies.mooney_rivlin, hgo, goh, energies.reinforced]
     ],
 )
 def test_least_eigenvalue_is_the_least_of_all(psi, kappa, stretches):
-    """Also a negative one, with n and m neither along nor across the axis of compression."""
+    """The least eigenvalue is that of a brute-force search over n and m."""
     user = material(psi, kappa=kappa)
     F = rotation(23) @ np.diag(stretches) @ rotation(29)
     at = evaluate(user, F)
@@ -379,7 +395,7 @@ def test_least_eigenvalue_is_the_least_of_all(psi, kappa, stretches):
 
 
 def test_pressure_does_not_count_if_incompressible():
-    """A finite κ adds κ J (m · n)², nothing for m ⟂ n."""
+    """For incompressible solids κ does not contribute, as κ J (m · n)² = 0 for m ⟂ n."""
     F = np.diag([0.8, 1.25, 1.0])
     bare, stiff = (evaluate(material(energies.hgo, kappa=kappa), F) for kappa in (0.0, 500.0))
     values = [least_eigenvalues(s.F, s.A, incompressible=True)[0] for s in (bare, stiff)]
@@ -388,7 +404,7 @@ def test_pressure_does_not_count_if_incompressible():
 
 @pytest.mark.parametrize(("shear", "lost"), [(1e-8, ()), (1e-12, (1.0,))], ids=["soft", "rounding"])
 def test_eigenvalue_of_rounding_is_zero(shear, lost):
-    """Shear moduli over the bulk modulus, on both sides of ZERO_EIGENVALUE."""
+    """An eigenvalue below ZERO_EIGENVALUE of the bulk modulus counts as zero."""
 
     def fluid(C, J):
         return shear * (ufl.tr(C) - 3 - 2 * ufl.ln(J)) / 2 + (J - 1) ** 2 / 2
@@ -408,13 +424,14 @@ def test_eigenvalue_of_rounding_is_zero(shear, lost):
     ids=["root", "no-equilibrium", "elliptic", "rest"],
 )
 def test_first_loss(least, value):
+    """The first loss is a root between elliptic and other states, or None if there is none."""
     values = np.arange(4.0)
     found = _first_loss(lambda x: 3.0 - 2.0 * x, values, np.array(least), zero=1e-12)
     assert found == (None if value is None else pytest.approx(value, abs=1e-8))
 
 
 def test_first_loss_next_to_states_without_equilibrium():
-    """Without a root that can be computed, it is the first computed state that is not elliptic."""
+    """If the root has no equilibrium, the first loss is the first state that is not elliptic."""
 
     def least_at(value: float) -> float:
         return np.nan if 1.0 < value < 2.0 else 1.5 - value
@@ -424,16 +441,19 @@ def test_first_loss_next_to_states_without_equilibrium():
 
 
 def test_loss_at_rest():
+    """A material that is not elliptic at rest is lost at the stretch 1."""
     scan = scan_ellipticity(material(energies.wrong_sign), uniaxial, [0.9, 1.0, 1.1])
     assert scan.lost == (1.0,) and scan.rest == 1.0
 
 
 def test_states_without_equilibrium():
+    """States without equilibrium are not counted as a loss of ellipticity."""
     scan = scan_ellipticity(material(energies.not_a_number), pure_shear, [0.9, 1.0, 1.1, 1.2, 1.3])
     np.testing.assert_array_equal(np.isnan(scan.least), [False, False, False, True, True])
 
 
 @pytest.mark.parametrize("values", [[1.1, 1.0], [1.0, 1.0]])
 def test_values_in_another_order(values):
+    """Values that do not ascend are refused."""
     with pytest.raises(ValueError, match="ascending order"):
         scan_ellipticity(material(energies.neo_hookean), uniaxial, values)

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Stresses along paths, and moduli at small strains, against closed forms and one another."""
+"""Stresses along paths and moduli at small strains agree with closed forms."""
 
 from __future__ import annotations
 
@@ -42,6 +42,7 @@ RUBBER = {
 
 @each(("make", "stress"), RUBBER)
 def test_incompressible_rubber(make, stress):
+    """Incompressible rubber has its closed-form stresses on each path."""
     neo_hookean = ((psi, C / 2, 0) for psi in (energies.neo_hookean, energies.unsplit))
     for psi, c10, c01 in (*neo_hookean, (energies.mooney_rivlin, C10, C01)):
         response = respond(material(psi), make(STRETCH))
@@ -61,7 +62,7 @@ def test_simple_shear_of_rubber():
 
 
 def wall_stresses(stretch, second):
-    """σ₁₁ and σ₂₂ of the HGO energy for F = diag(λ, λ₂, 1/(λ λ₂)), σ₃₃ = 0, derived on paper."""
+    """Return σ₁₁ and σ₂₂ of the HGO energy for F = diag(λ, λ₂, 1/(λ λ₂)), σ₃₃ = 0, by hand."""
     cosine2 = np.cos(ANGLE) ** 2
     third2 = (stretch * second) ** -2.0
     E = np.maximum(stretch**2 * cosine2 + second**2 * (1 - cosine2) - 1, 0)
@@ -72,6 +73,7 @@ def wall_stresses(stretch, second):
 
 @pytest.mark.parametrize("second", [1.0, 1.2])
 def test_biaxial_tension_of_a_wall_with_fibres(second):
+    """A wall in biaxial tension has the stresses derived on paper."""
     stretch = np.linspace(0.7, 1.6, 10)
     for path in (biaxial(stretch, second), inflation(stretch, axial=second)):
         sigma = respond(material(energies.hgo), path).sigma
@@ -81,7 +83,7 @@ def test_biaxial_tension_of_a_wall_with_fibres(second):
 
 
 def test_uniaxial_tension_of_a_wall_with_fibres():
-    """The second stretch is that at which σ₂₂ vanishes; it is not that of an isotropic body."""
+    """In uniaxial tension the second stretch of a wall makes σ₂₂ vanish."""
     stretch = np.linspace(1.05, 1.6, 8)
     lateral = np.vectorize(lambda x: brentq(lambda y: wall_stresses(x, y)[1], 0.2, 1.0, xtol=1e-14))
     second = lateral(stretch)
@@ -92,7 +94,7 @@ def test_uniaxial_tension_of_a_wall_with_fibres():
 
 
 def test_compressible_bar():
-    """St Venant-Kirchhoff: S₁₁ = E E₁₁ and E₂₂ = −ν E₁₁ with the small-strain E and ν."""
+    """A St Venant–Kirchhoff bar has S₁₁ = E E₁₁ and E₂₂ = −ν E₁₁."""
     young = MU * (3 * LMBDA + 2 * MU) / (LMBDA + MU)
     poisson = LMBDA / 2 / (LMBDA + MU)
     stretch = np.linspace(0.7, 1.3, 7)
@@ -107,7 +109,7 @@ def test_compressible_bar():
 
 @pytest.mark.parametrize("psi", [energies.neo_hookean, energies.hgo])
 def test_large_kappa_tends_to_incompressible(psi):
-    """At first order in 1/κ."""
+    """Responses converge to the incompressible ones at first order in 1/κ."""
     path = uniaxial(np.linspace(0.8, 1.4, 5))
     limit = respond(material(psi), path)
     soft, stiff = (respond(material(psi, kappa=kappa), path) for kappa in (1e4, 1e5))
@@ -118,7 +120,7 @@ def test_large_kappa_tends_to_incompressible(psi):
 
 @pytest.mark.parametrize("kappa", [np.inf, 20.0])
 def test_oblique_fibres_let_a_specimen_shear(kappa):
-    """In uniaxial tension σ₁₁ alone acts, whatever the fibres."""
+    """In uniaxial tension σ₁₁ is the only stress, although oblique fibres cause shear."""
     response = respond(material(energies.oblique, kappa=kappa), uniaxial([0.8, 1.2, 1.5]))
     others = response.sigma.copy()
     others[:, 0, 0] = 0
@@ -135,12 +137,12 @@ ACROSS = (-2 * np.sin(ANGLE), 2 * np.cos(ANGLE), 0)
 
 
 def fibre_stress(E):
-    """4 k₁ E exp(k₂ E²) of two families in the same direction."""
+    """Return 4 k₁ E exp(k₂ E²), of two families in one direction."""
     return 4 * HGO["k1"] * E * np.exp(HGO["k2"] * E**2)
 
 
 def test_loading_along_an_oblique_fibre():
-    """As if the fibre were along x: nothing shears, and σ₁₁ has the fibres' part in full."""
+    """Tension along an oblique fibre causes no shear, and has the response of a fibre along x."""
     stretch = np.array([1.1, 1.4])
     response = respond(material(energies.oblique), uniaxial(stretch, along=ALONG))
     stress = C * (stretch**2 - 1 / stretch) + fibre_stress(stretch**2 - 1) * stretch**2
@@ -153,7 +155,7 @@ def test_loading_along_an_oblique_fibre():
 
 
 def test_shear_along_and_across_an_oblique_fibre():
-    """Along the fibre, it keeps its length; across, Ī₄ = 1 + γ² and F a = (γ, 1)."""
+    """Shear along a fibre keeps its length; across it, Ī₄ = 1 + γ² and F a = (γ, 1)."""
     along = respond(material(energies.oblique), simple_shear(SHEAR, along=ALONG, across=ACROSS))
     np.testing.assert_allclose(along.sigma[:, 0, 1], C * SHEAR, **exact)
     across = respond(material(energies.oblique), simple_shear(SHEAR, along=ACROSS, across=ALONG))
@@ -163,6 +165,7 @@ def test_shear_along_and_across_an_oblique_fibre():
 
 @pytest.mark.parametrize("along", [(1, 0, 0), (0, 0, -3), (1, 2, 3)])
 def test_frame_of_loading(along):
+    """The frame of a path is a rotation to its direction, with orthonormal free entries."""
     path = uniaxial([1.3], along=along)
     R = path.frame
     np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-15)
@@ -173,6 +176,7 @@ def test_frame_of_loading(along):
 
 
 def test_every_path_passes_through_rest():
+    """Every path contains the state of rest."""
     for symbol, makers in STANDARD_PATHS.items():
         for make in makers:
             path = make([1.0 if symbol == "λ" else 0.0])
@@ -185,9 +189,10 @@ def test_every_path_passes_through_rest():
 
 
 def test_collapse_is_no_equilibrium():
-    """St Venant-Kirchhoff: S₃₃ = 0 makes F₃₃² = 1 − 2 λ/(λ + 2 μ) (λ₁² − 1), zero at λ₁² = 1.9.
+    """The collapsed state F₃₃ = 0 of a St Venant–Kirchhoff solid is not an equilibrium.
 
-    Beyond, F₃₃ = 0 is a stationary point.
+    S₃₃ = 0 makes F₃₃² = 1 − 2 λ/(λ + 2 μ) (λ₁² − 1), zero at λ₁² = 1.9. Beyond, F₃₃ = 0 is a
+    stationary point.
     """
     response = respond(material(energies.saint_venant, kappa=0.0), equibiaxial([1.0, 1.37, 1.6]))
     np.testing.assert_array_equal(response.converged, [True, True, False])
@@ -197,12 +202,13 @@ def test_collapse_is_no_equilibrium():
 
 
 def test_states_that_are_no_numbers():
+    """States with an energy of NaN are marked as not converged."""
     response = respond(material(energies.not_a_number), pure_shear([1.0, 1.1, 1.2]))
     np.testing.assert_array_equal(response.converged, [True, True, False])
 
 
 def test_far_states_are_reached_in_steps(monkeypatch):
-    """Newton's method alone does not get there from the guess."""
+    """A state out of Newton's reach is found by steps from the last one."""
     import dolfinx_feti.workshop.equilibrium as module
 
     path = uniaxial([2.2])
@@ -216,6 +222,7 @@ def test_far_states_are_reached_in_steps(monkeypatch):
 
 
 def test_path_without_free_entries_leaves_the_pressure_open():
+    """A path without free entries needs a κ, as the pressure is undetermined."""
     nothing = np.empty((0, 3, 3))
     with pytest.raises(ValueError, match="no free entries"):
         equilibrate(material(energies.neo_hookean), np.eye(3)[None], nothing)
@@ -242,7 +249,7 @@ def test_path_without_free_entries_leaves_the_pressure_open():
     ],
 )
 def test_isotropic_moduli(psi, kappa, bulk, shear):
-    """E = 9 K μ/(3 K + μ) and ν = (3 K − 2 μ)/(6 K + 2 μ)."""
+    """Isotropic solids have E = 9 K μ/(3 K + μ) and ν = (3 K − 2 μ)/(6 K + 2 μ)."""
     moduli = small_strain_moduli(material(psi, kappa=kappa))
     assert (moduli.bulk, moduli.shear) == pytest.approx((bulk, shear), rel=1e-12)
     assert moduli.least == pytest.approx(2 * shear, rel=1e-12)
@@ -256,7 +263,7 @@ def test_isotropic_moduli(psi, kappa, bulk, shear):
 
 
 def test_moduli_of_fibres():
-    """D = 2 c + Σ 4 k₁ M ⊗ M on strains without trace, M = a ⊗ a − I/3."""
+    """The stiffness of two fibre families is 2 c + Σ 4 k₁ M ⊗ M without trace, M = a ⊗ a − I/3."""
     moduli = small_strain_moduli(material(energies.hgo))
     projection = np.eye(6)[:, :3] @ (np.eye(3) - 1 / 3) @ np.eye(6)[:3]
     D = 2 * C * (projection + np.diag([0.0] * 3 + [0.5] * 3))
@@ -271,7 +278,7 @@ def test_moduli_of_fibres():
 
 
 def test_one_family_is_transversely_isotropic():
-    """E = 3 c + 4 k along the fibre: Ψ = 3/2 c ε² + k/2 (2 ε)²; across, ν differs from ½."""
+    """One fibre family has E = 3 c + 4 k along it, and ν other than ½ across."""
     moduli = small_strain_moduli(material(energies.reinforced))
     young = moduli.young
     poisson = moduli.poisson
@@ -284,7 +291,7 @@ def test_one_family_is_transversely_isotropic():
 
 @pytest.mark.parametrize("kappa", [np.inf, 50.0])
 def test_slopes_of_response_curves(kappa):
-    """Young's modulus along x, y and z, and Poisson's ratios, in tension where all fibres work."""
+    """Moduli and Poisson's ratios are the slopes of response curves in tension."""
     user = material(energies.reinforced, kappa=kappa)
     moduli = small_strain_moduli(user)
     h = 1e-5
@@ -299,6 +306,7 @@ def test_slopes_of_response_curves(kappa):
 
 
 def test_nothing_resists_a_change_of_volume():
+    """Without volumetric stiffness E and ν are NaN, and the text says not positive definite."""
     moduli = small_strain_moduli(material(energies.neo_hookean, kappa=0.0))
     np.testing.assert_array_equal(moduli.young, np.nan)
     np.testing.assert_array_equal(moduli.poisson, np.nan)
@@ -308,17 +316,19 @@ def test_nothing_resists_a_change_of_volume():
 
 
 def test_stress_at_rest_is_no_stiffness():
-    """The fibre of Ī₄ has no second derivative along itself; its stress does not count."""
+    """A stress at rest does not contribute to the stiffness."""
     D = small_strain_moduli(material(energies.stressed)).stiffness
     np.testing.assert_allclose(D, D.T, atol=1e-13)
 
 
 def test_no_finite_tangent_at_rest():
+    """An infinite tangent at rest is refused."""
     with pytest.raises(ValueError, match="no finite number at F = I"):
         small_strain_moduli(material(energies.root))
 
 
 def test_text_of_moduli():
+    """The text of moduli states them by name."""
     text = str(small_strain_moduli(material(energies.neo_hookean)))
     for words in ("shear modulus 3 kPa, bulk modulus inf", "moduli 9, 9, 9 kPa", "0.5, 0.5"):
         assert words in text
