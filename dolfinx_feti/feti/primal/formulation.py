@@ -377,7 +377,7 @@ def _soft_fields_if_softened(
         W and M⁻¹ W; None if no subdomain is softened, if A₀ is not symmetric or not definite, if a
         null space is attached, or if the options switch deflation off. The fields of a null space
         have zero energy and would hide the soft ones. Deflating them costs iterations: 112 instead
-        of 9 in a test with springs on single subdomains whose sum is zero.
+        of 9 with springs on single subdomains whose sum is zero.
     """
     count = pattern.options.deflation
     inverse = preconditioner.inverse
