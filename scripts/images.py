@@ -45,7 +45,10 @@ def run(source: str, name: str) -> dict[str, Any]:
 
 
 def draw_wall() -> None:
-    """Draw the wall of the demo: torn at rest, and coloured by the stress under pressure."""
+    """Draw the wall of the demo: torn at rest, and coloured by the stress under pressure.
+
+    It reads the variables ``problem`` and ``inflated`` of the demo.
+    """
     from dolfinx_feti.output import pictures
 
     demo = run((ROOT / "demos/demo_artery.py").read_text(encoding="utf-8"), "demo_artery")

@@ -5,7 +5,9 @@
 
 A new one is a function and an entry of :data:`GEOMETRIES`; mesh and problem come from
 ``common/bodies.py``. It is then a choice of ``--geometry``, and has rows on the page. The figures
-show the bodies of ``tables.BODIES``, and all compressible ones, which the tests solve, too.
+show the bodies of ``tables.BODIES``, and all compressible ones, which the tests solve, too. A body
+with ``first_load=None`` counts as linear and compressible; the tables give all others a constant
+pressure, –P0.
 """
 
 from __future__ import annotations

@@ -4,9 +4,10 @@
 """The solvers of the comparison by PETSc options, and MKL's PARDISO as a preconditioner.
 
 A new solver is an entry of :data:`OPPONENTS`. It is then a choice of ``--solvers``, has rows on the
-page, and counts among the best of the others. The figures show the solvers of ``tables.CURVES`` and
-``tables.FORMULATIONS``. The test of all solvers skips those of ``ALONE`` in
-``tests/benchmarks/test_solvers.py``, which may be missing or take one process only.
+page, and counts among the best of the others, as the dual formulation of FETI does. The figures
+show the solvers of ``tables.CURVES`` and ``tables.FORMULATIONS``. The test of all solvers skips
+those of ``ALONE`` in ``tests/benchmarks/test_solvers.py``, which may be missing or take one process
+only.
 """
 
 from __future__ import annotations
