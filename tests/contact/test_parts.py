@@ -142,7 +142,7 @@ def test_surface_refuses_a_measure_without_facets(law):
 
 
 def test_surface_refuses_a_negative_weight(law):
-    """A quadrature rule with a negative weight is refused."""
+    """A weight of the contact that is not positive is refused."""
     weight = 0.5 - ufl.SpatialCoordinate(law.u.function_space.mesh)[0]
     with raises(ValueError, "weight of a contact is not positive"):
         ContactSurface(law.multiplier.function_space, law.ds, weight, Compiler(COMM))

@@ -70,16 +70,16 @@ class Block:
 
     def creep(self, dashpot: ufl.Form, **arguments: object) -> list[np.ndarray]:
         """Return u after each of three steps under a constant load."""
-        seen: list[np.ndarray] = []
+        displacements: list[np.ndarray] = []
         follow_load(
             self.problem(dashpot),
             lambda t: None,
             [0.5, 1.0, 1.5],
             STEPS,
-            on_step=lambda step: seen.append(owned(self.u)),
+            on_step=lambda step: displacements.append(owned(self.u)),
             **arguments,
         )
-        return seen
+        return displacements
 
 
 def equilibrium(load: float) -> np.ndarray:
@@ -104,19 +104,19 @@ def in_another_space(block: Block) -> ufl.Form:
         pytest.param(in_another_space, id="last-in-P2"),
     ],
 )
-def test_creep_of_another_spelling(dashpot: Callable[[Block], ufl.Form]):
+def test_creep_does_not_depend_on_the_spelling_of_a_dashpot(dashpot: Callable[[Block], ufl.Form]):
     """Creep depends neither on the spelling of a dashpot's displacement nor on its last space."""
     block = Block()
     other = Block()
     expected = block.creep(block.dashpot())
-    found = other.creep(dashpot(other))
-    spring = np.abs(expected[2] - expected[0]).max(initial=0.0)
-    agree(COMM.allreduce(spring) > 0.01, f"from step 1 to 3 it creeps by {spring} alone")
-    for a, b in zip(found, expected, strict=True):
+    actual = other.creep(dashpot(other))
+    creep = np.abs(expected[2] - expected[0]).max(initial=0.0)
+    agree(COMM.allreduce(creep) > 0.01, f"from step 1 to 3 u creeps by {creep} alone")
+    for a, b in zip(actual, expected, strict=True):
         equal(a, b, 1e-7)
 
 
-def test_last_displacement_of_a_sum_that_moves():
+def test_last_displacement_follows_a_sum_that_changes():
     """After a step, the last displacement of a dashpot on u + u0 is u + u0 with the new u0."""
     block = Block()
     problem = block.problem(block.dashpot(block.u + block.u0))
@@ -125,23 +125,23 @@ def test_last_displacement_of_a_sum_that_moves():
     def set_load(t: float) -> None:
         block.u0.x.array[:] = 0.01 * t
 
-    def look(step) -> None:
+    def compare_last(step) -> None:
         equal(block.last.x.array, expected[-1], 1e-12)
         expected.append(block.u.x.array + block.u0.x.array)
 
-    follow_load(problem, set_load, [0.5, 1.0], STEPS, on_step=look)
+    follow_load(problem, set_load, [0.5, 1.0], STEPS, on_step=compare_last)
     equal(block.last.x.array, expected[-1], 1e-12)
 
 
 @pytest.mark.parametrize("rtol", [None, 1e-2], ids=["exact", "rough"])
-def test_restart_with_the_dashpot_of_a_sum(tmp_path: Path, rtol: float | None):
+def test_restart_with_a_dashpot_on_a_sum_repeats_one_run(tmp_path: Path, rtol: float | None):
     """A restarted path has the end of an uninterrupted one, also if its first step is repeated."""
     steps = Steps(first=0.25, least=0.1, growth=1.0, rtol=rtol)
 
     def follow(name: str, targets: list[float], *, restart=False, until=np.inf) -> np.ndarray:
         block = Block()
 
-        def look(step) -> None:
+        def interrupt(step) -> None:
             if step.load > until:
                 raise InterruptedError
 
@@ -152,7 +152,7 @@ def test_restart_with_the_dashpot_of_a_sum(tmp_path: Path, rtol: float | None):
             targets,
             steps,
             checkpoint=checkpoint,
-            on_step=look,
+            on_step=interrupt,
         )
         return np.append(owned(block.u), owned(block.last))
 
@@ -162,7 +162,7 @@ def test_restart_with_the_dashpot_of_a_sum(tmp_path: Path, rtol: float | None):
     equal(follow("parts", [0.5, 1.0], restart=True), expected, 1e-8)
 
 
-def test_a_cell_of_a_notebook_that_runs_again():
+def test_motion_ignores_dashpots_that_are_not_in_the_forms():
     """A motion ignores a dashpot that is not in the forms, and sets the time step of others."""
     block = Block()
     motion = Motion(block.u, 1e-3)
@@ -198,7 +198,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_a_path_refuses_when_it_begins(case):
+def test_path_refuses_dashpots_that_it_cannot_advance(case):
     """A path refuses dashpots that it cannot advance, with u unchanged."""
     dashpot, match = REFUSED[case]
     block = Block()
@@ -212,7 +212,7 @@ def test_what_a_path_refuses_when_it_begins(case):
     small(np.abs(block.u.x.array).max(initial=0.0), 0.0)
 
 
-def test_a_last_displacement_that_is_the_present_one():
+def test_dashpot_refuses_u_as_its_last_displacement():
     """A dashpot refuses u itself as its last displacement."""
     block = Block()
     with pytest.raises(ValueError, match="last is u itself: give another Function"):
@@ -222,7 +222,7 @@ def test_a_last_displacement_that_is_the_present_one():
 # -- equilibria after a motion
 
 
-def swung(block: Block, *more: ufl.Form, rate: float = 0.0) -> NonlinearProblem:
+def problem_after_motion(block: Block, *more: ufl.Form, rate: float = 0.0) -> NonlinearProblem:
     """Return the problem of a block after a motion whose Motion is deleted.
 
     Args: block: The block, which has swung for two steps. more: Further terms of its energy, such
@@ -246,10 +246,10 @@ def swung(block: Block, *more: ufl.Form, rate: float = 0.0) -> NonlinearProblem:
 
 @pytest.mark.parametrize("rate", [0.0, 1.0], ids=["inertia", "and-rate"])
 @pytest.mark.parametrize("has_dashpot", [False, True], ids=["free", "dashpot"])
-def test_equilibrium_after_a_motion_that_is_gone(rate, has_dashpot):
+def test_equilibrium_after_a_deleted_motion_has_no_inertia(rate, has_dashpot):
     """After its Motion is deleted, a problem has equilibria without inertia and dashpots."""
     block = Block()
-    problem = swung(block, *([block.dashpot()] if has_dashpot else []), rate=rate)
+    problem = problem_after_motion(block, *([block.dashpot()] if has_dashpot else []), rate=rate)
     gc.collect()
     follow_load(problem, block.set_load, [1.5], STEPS, start=1.0)
     equal(owned(block.u), equilibrium(1.5), 1e-7)
@@ -257,7 +257,7 @@ def test_equilibrium_after_a_motion_that_is_gone(rate, has_dashpot):
         agree(np.isinf(block.dt.value))
 
 
-def test_equilibrium_of_another_problem_with_the_rate_of_a_motion():
+def test_velocity_of_a_motion_does_not_act_in_equilibria():
     """The velocity of a motion does not contribute to the equilibria of another problem."""
     block = Block()
     motion = Motion(block.u, 1e-3)
@@ -276,10 +276,10 @@ def test_equilibrium_of_another_problem_with_the_rate_of_a_motion():
     equal(owned(block.u), equilibrium(1.5), 1e-7)
 
 
-def test_a_time_step_that_is_set_between_two_paths_of_loads():
+def test_time_step_set_between_two_load_paths_is_kept():
     """A time step set between two load paths is kept, so that the dashpots resist in the second."""
     block = Block()
-    problem = swung(block, block.dashpot())
+    problem = problem_after_motion(block, block.dashpot())
     follow_load(problem, block.set_load, [1.5], STEPS, start=1.0)
     block.dt.value = 0.5
     follow_load(problem, block.set_load, [2.0], STEPS, start=1.5)
@@ -290,7 +290,7 @@ def test_a_time_step_that_is_set_between_two_paths_of_loads():
     agree(moved > 1e-3, f"the dashpots have held the block back by {moved} alone")
 
 
-def test_motion_after_equilibria_after_a_motion():
+def test_motion_after_equilibria_is_that_of_a_new_block():
     """After load steps in between, a motion has the end and the dissipation of a new block's."""
     ends = []
     for between in (False, True):

@@ -106,7 +106,7 @@ def test_loss_of_ellipticity_is_a_warning_with_the_stretch(psi, kappa, lost):
     ],
 )
 def test_broken_energy_fails_its_check(psi, failures):
-    """Each broken energy fails exactly the checks made for it."""
+    """Each broken energy fails exactly the checks made for it, ellipticity aside."""
     report = check(material(psi), n=5)
     assert not report.ok
     found = outcomes(report.checks, "fail")
@@ -157,7 +157,7 @@ def test_nan_is_reported_with_its_state():
 
 
 def test_nan_at_rest():
-    """An energy that is NaN at rest fails."""
+    """An energy that is NaN at rest fails, and has no moduli and no scan of ellipticity."""
     report = check(material(energies.root), n=5)
     assert report.moduli is None and report.ellipticity == ()
     failed = {c.name: c.note for c in report.checks if c.outcome == "fail"}
@@ -210,7 +210,7 @@ def test_tampered_law(change, failures):
     ("psi", "jump"), [(energies.neo_hookean, False), (energies.saint_venant, False), (hgo, True)]
 )
 def test_jump_of_the_tangent(psi, jump, kappa):
-    """The jump of the tangent where fibres drop out is reported with its size.
+    """A tangent that jumps where fibres drop out has a large kink, and a smooth one almost none.
 
     It is 8 k₁ M₁₁² of A₁₁₁₁, more than the shear modulus c.
     """
@@ -447,7 +447,7 @@ def test_loss_at_rest():
 
 
 def test_states_without_equilibrium():
-    """States without equilibrium are not counted as a loss of ellipticity."""
+    """States without equilibrium have NaN as their least eigenvalue."""
     scan = scan_ellipticity(material(energies.not_a_number), pure_shear, [0.9, 1.0, 1.1, 1.2, 1.3])
     np.testing.assert_array_equal(np.isnan(scan.least), [False, False, False, True, True])
 
