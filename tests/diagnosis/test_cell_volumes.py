@@ -29,19 +29,19 @@ def test_what_is_found(kind, unit, caplog):
     strip = Strip(kind, unit=unit)
     strip.place(strip.u, INVERTED)
     agree(strip.problem._system.smallest_volume_ratio() > 0.0)
-    found = strip.problem.cell_volumes()
-    agree(all(other == found for other in COMM.allgather(found)), found)
-    small(found.least - (1.0 - INVERTED), 1e-5)
-    small(found.greatest - 1.0, 1e-5)
+    volumes = strip.problem.cell_volumes()
+    agree(all(other == volumes for other in COMM.allgather(volumes)), volumes)
+    small(volumes.least - (1.0 - INVERTED), 1e-5)
+    small(volumes.greatest - 1.0, 1e-5)
     column = ROWS * (2 if kind == Cell.triangle else 1)
-    agree((found.cells, found.inverted) == (2 * column, column), found)
-    agree(not found.is_sound and found.distorted >= found.inverted, found)
+    agree((volumes.cells, volumes.inverted) == (2 * column, column), volumes)
+    agree(not volumes.is_sound and volumes.distorted >= volumes.inverted, volumes)
     third = 1 / 3 if kind == Cell.triangle else 1 / 2
-    equal(found.low, unit * np.array([third, third / ROWS]), 1e-9)
-    equal(found.high, unit * np.array([1 - third, 1 - third / ROWS]), 1e-9)
-    inside = np.array(found.low) <= np.array(found.worst) * (1 + 1e-9)
-    agree(np.all(inside) and len(found.worst) == 2, found)
-    agree(f"not positive in {column} cells" in str(found), found)
+    equal(volumes.low, unit * np.array([third, third / ROWS]), 1e-9)
+    equal(volumes.high, unit * np.array([1 - third, 1 - third / ROWS]), 1e-9)
+    inside = np.array(volumes.low) <= np.array(volumes.worst) * (1 + 1e-9)
+    agree(np.all(inside) and len(volumes.worst) == 2, volumes)
+    agree(f"not positive in {column} cells" in str(volumes), volumes)
     agree(not volume_warnings(caplog))  # to ask is no reason to warn
 
 
@@ -50,9 +50,9 @@ def test_distorted_cells(strain, is_sound):
     """A cell counts as distorted if its volume ratio varies by more than the threshold."""
     strip = Strip()
     strip.place(strip.u, strain)
-    found = strip.problem.cell_volumes()
-    agree(found.inverted == 0 and found.is_sound == is_sound, found)
-    agree((found.distorted > 0) != is_sound and bool(found.low) != is_sound, found)
+    volumes = strip.problem.cell_volumes()
+    agree(volumes.inverted == 0 and volumes.is_sound == is_sound, volumes)
+    agree((volumes.distorted > 0) != is_sound and bool(volumes.low) != is_sound, volumes)
 
 
 def test_axisymmetric_body_with_its_axis():
@@ -70,13 +70,13 @@ def test_axisymmetric_body_with_its_axis():
     )
     problem = NonlinearProblem(energy, u, bcs=[bc], subdomains=2, quadrature_degree=4)
     u.interpolate(lambda x: np.stack([0.2 * x[0], 0.1 * x[1]]))
-    found = problem.cell_volumes()
-    small(found.least - 1.2**2 * 1.1, 1e-5)
-    small(found.greatest - 1.2**2 * 1.1, 1e-5)
+    volumes = problem.cell_volumes()
+    small(volumes.least - 1.2**2 * 1.1, 1e-5)
+    small(volumes.greatest - 1.2**2 * 1.1, 1e-5)
     u.interpolate(lambda x: np.stack([0.2 * x[0], -INVERTED / 2 * x[1] ** 2]))
-    found = problem.cell_volumes()
-    small(found.least - 1.2**2 * (1 - INVERTED), 1e-5)
-    agree(found.inverted == found.cells == 6, found)
+    volumes = problem.cell_volumes()
+    small(volumes.least - 1.2**2 * (1 - INVERTED), 1e-5)
+    agree(volumes.inverted == volumes.cells == 6, volumes)
 
 
 def test_curved_cells():
@@ -112,14 +112,14 @@ def test_other_degrees(degree, inverted):
     u = dolfinx.fem.Function(V)
     problem = NonlinearProblem(Strip.density(u) * ufl.dx, u, subdomains=4, quadrature_degree=4)
     u.interpolate(lambda x: np.stack([0.5 * x[0], 0.0 * x[1]]))
-    found = problem.cell_volumes()
-    small(found.least - 1.5, 1e-9)
-    small(found.greatest - 1.5, 1e-9)
+    volumes = problem.cell_volumes()
+    small(volumes.least - 1.5, 1e-9)
+    small(volumes.greatest - 1.5, 1e-9)
     at = dolfinx.fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0] + x[1], 0.0))
     u.x.array.reshape(-1, 2)[at] += [3.0, 0.0]
-    found = problem.cell_volumes()
-    agree(found.inverted == inverted, found)
-    agree(max(found.worst) < 0.25, found)
+    volumes = problem.cell_volumes()
+    agree(volumes.inverted == inverted, volumes)
+    agree(max(volumes.worst) < 0.25, volumes)
 
 
 def test_swelling_is_no_distortion():
@@ -163,8 +163,8 @@ def test_gradient_at_points_of_a_quadrature():
     energy = (ufl.inner(E, E) - 2 * ufl.ln(ufl.det(E))) * dx
     problem = NonlinearProblem(energy, u, subdomains=2, quadrature_degree=4)
     u.interpolate(lambda x: np.stack([-INVERTED / 2 * x[0] ** 2, 0 * x[1]]))
-    found = problem.cell_volumes()
-    small(found.least - (1 - INVERTED), 1e-5)
+    volumes = problem.cell_volumes()
+    small(volumes.least - (1 - INVERTED), 1e-5)
     scalars = basix.ufl.quadrature_element("triangle", value_shape=(), degree=4)
     at_points = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, scalars))
     at_points.x.array[:] = 1.0

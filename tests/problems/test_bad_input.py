@@ -290,9 +290,9 @@ def test_unsymmetric_matrix_with_cg():
     """Dual conjugate gradients refuse an unsymmetric matrix, and the primal form is advised."""
     body = poisson(cube(2, 6))
     a = body.a + 5.0 * ufl.TrialFunction(body.V).dx(0) * ufl.TestFunction(body.V) * ufl.dx
-    made = linear(body, a=a, petsc_options={"feti_dual_ksp_type": "cg"})
+    problem = linear(body, a=a, petsc_options={"feti_dual_ksp_type": "cg"})
     with raises(ConvergenceError, "not symmetric.*-bad_feti_formulation primal"):
-        made.solve()
+        problem.solve()
 
 
 # ---- residuals, energies and condensed fields -----------------------------------------------

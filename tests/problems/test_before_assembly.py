@@ -258,8 +258,11 @@ def test_unknown_is_not_in_the_residual(caplog):
     plate = Plate(cells=2)
     for _ in range(2):
         plate.problem(before_assembly=None)
-    said = logged_messages(caplog)
-    agree(len(said) == 2 and all("pass before_assembly=update" in text for text in said), said)
+    warnings = logged_messages(caplog)
+    agree(
+        len(warnings) == 2 and all("pass before_assembly=update" in text for text in warnings),
+        warnings,
+    )
     with raises(ValueError, "'u' does not occur in F: .* by J=, and .* by before_assembly="):
         plate.problem(J=None)
 

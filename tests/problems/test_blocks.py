@@ -181,8 +181,11 @@ def test_incompressible(panel, exactly, caplog, scale):
     equal(owned(p), exactly[1], 1e-6)
     agree(len(problem.volume_changes) <= 12, problem.volume_changes)
     small(problem.volume_changes[-1], 1e-8)
-    said = logged_messages(caplog)
-    agree(len(said) == 1 and "'p' has no term in it" in said[0] and "kappa=" in said[0], said)
+    warnings = logged_messages(caplog)
+    agree(
+        len(warnings) == 1 and "'p' has no term in it" in warnings[0] and "kappa=" in warnings[0],
+        warnings,
+    )
 
 
 def test_penalty(panel, caplog):
@@ -272,9 +275,9 @@ def test_load_in_the_constraint_alone(panel):
     common = {"bcs": panel.bcs, "subdomains": 4, "petsc_options": TIGHT}
     zero = ufl.inner(dolfinx.fem.Constant(panel.mesh, (0.0, 0.0)), ufl.TestFunction(panel.V))
     expected = LinearProblem(a, [zero * ufl.dx, of_p], **common).solve()
-    found = LinearProblem(a, [None, of_p], **common).solve()
-    agree(np.abs(owned(found[0])).max(initial=0.0) > 1e-4)
-    for w, reference in zip(found, expected, strict=True):
+    solution = LinearProblem(a, [None, of_p], **common).solve()
+    agree(np.abs(owned(solution[0])).max(initial=0.0) > 1e-4)
+    for w, reference in zip(solution, expected, strict=True):
         equal(owned(w), owned(reference), 1e-10)
 
 
@@ -292,8 +295,8 @@ def test_zero_forms(panel, place):
         with_zero = ([a[0], [a[1][0], corner]], L)
     common = {"bcs": panel.bcs, "subdomains": 4, "petsc_options": TIGHT}
     expected = LinearProblem(*with_none, **common).solve()
-    found = LinearProblem(*with_zero, **common).solve()
-    for w, reference in zip(found, expected, strict=True):
+    solution = LinearProblem(*with_zero, **common).solve()
+    for w, reference in zip(solution, expected, strict=True):
         equal(owned(w), owned(reference), 1e-10)
 
 
@@ -301,8 +304,8 @@ def test_given_functions(panel):
     """Solutions are written to the Functions passed as u, also in lists of one."""
     a, L = linear_blocks(panel, "up", kappa=KAPPA)
     u, p = panel.functions()
-    found = LinearProblem(a, L, u=[u, p], bcs=panel.bcs, subdomains=4).solve()
-    agree(found[0] is u and found[1] is p)
+    solution = LinearProblem(a, L, u=[u, p], bcs=panel.bcs, subdomains=4).solve()
+    agree(solution[0] is u and solution[1] is p)
     alone = LinearProblem([[a[0][0]]], [L[0]], bcs=panel.bcs, subdomains=4)
     (single,) = alone.solve()
     w = dolfinx.fem.Function(panel.V)
@@ -397,11 +400,11 @@ def test_condensed_tensor_of_a_linear_problem(panel):
         LinearProblem(a, L, **common)
     foundation = 0.1 * MU * ufl.inner(trials[0], tests[0]) * ufl.dx
     a[0][0] = foundation
-    found, _ = LinearProblem(a, L, **common).solve()
+    displacement, _ = LinearProblem(a, L, **common).solve()
     strain = ufl.sym(ufl.grad(trials[0]))
     alone = 2 * MU * ufl.inner(strain, ufl.sym(ufl.grad(tests[0]))) * ufl.dx + foundation
     expected = LinearProblem(alone, L[0], **common).solve()
-    equal(owned(found), owned(expected), 1e-8)
+    equal(owned(displacement), owned(expected), 1e-8)
 
 
 def test_condensed_tensors_are_no_pressures(panel):

@@ -25,9 +25,11 @@ from dolfinx_feti.diagnosis.figures import figure_text
 
 def quantities(problem):
     """Return the quantities of the advice, and check that the report contains its texts."""
-    found = problem.diagnose()
-    agree(all(str(a) in str(found) and a.text.endswith(".") for a in found.advice), found)
-    return {a.quantity for a in found.advice}
+    diagnosis = problem.diagnose()
+    agree(
+        all(str(a) in str(diagnosis) and a.text.endswith(".") for a in diagnosis.advice), diagnosis
+    )
+    return {a.quantity for a in diagnosis.advice}
 
 
 # -- figures
@@ -36,11 +38,11 @@ def quantities(problem):
 def test_figures_of_a_linear_problem(solve_linear):
     """The figures of a linear problem agree with its decomposition, its solve and the report."""
     problem = solve_linear(elasticity(cube(3, 4)), 6, {"feti_type": "all_floating"})
-    found = problem.diagnose()
-    figures = found.figures
-    report = found.report
+    diagnosis = problem.diagnose()
+    figures = diagnosis.figures
+    report = diagnosis.report
     count = COMM.allreduce(problem.decomposition.count)
-    agree(report.subdomains == count and len(found.residuals) == count)
+    agree(report.subdomains == count and len(diagnosis.residuals) == count)
     agree(report.dofs == 3 * 5**3 == sum(figures.dofs_by_copies))
     torn = sum(n * m for m, n in enumerate(figures.dofs_by_copies, start=1))
     agree(torn == report.torn_dofs)
@@ -52,16 +54,18 @@ def test_figures_of_a_linear_problem(solve_linear):
     agree(0.0 < figures.interface_share.smallest <= figures.interface_share.largest <= 1.0)
     agree(figures.near_kernel == "3 translations, 3 rotations")
     agree(figures.stiffness_jump >= 1.0 and figures.pressures_per_dof is None)
-    agree(found.method == "cg" and found.iterations > 3 and found.message == "")
-    small(found.relative_residual, 1e-8)
-    agree(found.seconds["set-up"] > 0.0 and found.seconds["solve"] > 0.0)
-    agree(0.0 < found.seconds["factors"] < found.seconds["set-up"] * 1.01, found.seconds)
-    record = found.records[0]
+    agree(diagnosis.method == "cg" and diagnosis.iterations > 3 and diagnosis.message == "")
+    small(diagnosis.relative_residual, 1e-8)
+    agree(diagnosis.seconds["set-up"] > 0.0 and diagnosis.seconds["solve"] > 0.0)
+    agree(
+        0.0 < diagnosis.seconds["factors"] < diagnosis.seconds["set-up"] * 1.01, diagnosis.seconds
+    )
+    record = diagnosis.records[0]
     agree(json.loads(json.dumps(record, allow_nan=False)) == record)
     agree(record["report"]["subdomains"] == count)
-    agree(all(other == str(found) for other in COMM.allgather(str(found))))
+    agree(all(other == str(diagnosis) for other in COMM.allgather(str(diagnosis))))
     for word in ("condition number", "3 rotations", "coarse size", f"{report.dofs}, torn"):
-        agree(word in str(found), found)
+        agree(word in str(diagnosis), diagnosis)
 
 
 @pytest.mark.serial
@@ -92,27 +96,27 @@ def test_next_newton_step():
     body.inflate(problem, [1.0])
     body.load.value *= 1.5
     u = body.u.x.array.copy()
-    found = problem.diagnose()
+    diagnosis = problem.diagnose()
     equal(body.u.x.array, u)
-    small(np.linalg.norm(found.residuals) / problem.residual_norm() - 1.0, 1e-9)
-    agree(found.figures.pressures_per_dof > 0.0 and found.figures.pressure_stiffening > 1.0)
-    agree("pressures" in str(found))
+    small(np.linalg.norm(diagnosis.residuals) / problem.residual_norm() - 1.0, 1e-9)
+    agree(diagnosis.figures.pressures_per_dof > 0.0 and diagnosis.figures.pressure_stiffening > 1.0)
+    agree("pressures" in str(diagnosis))
 
 
 def test_without_a_load():
     """Without a load the condition number is estimated with a random right-hand side."""
     problem = wall(tube(around=8, along=1), degree=1).problem(4, {})
-    found = problem.diagnose()
-    agree(found.iterations >= 0 and found.message == "")
-    equal(found.residuals, np.zeros(len(found.residuals)))
+    diagnosis = problem.diagnose()
+    agree(diagnosis.iterations >= 0 and diagnosis.message == "")
+    equal(diagnosis.residuals, np.zeros(len(diagnosis.residuals)))
 
 
 def test_solve_that_fails():
     """The report of a failed solve has its reason, and no figures of the solver."""
-    found = torn(elasticity(cube(3, 3), clamped=None), 4).diagnose()
-    agree(found.report is None and found.advice == () and found.figures is None)
-    agree("singular" in found.message and "singular" in str(found))
-    agree(found.records[0]["report"] is None)
+    diagnosis = torn(elasticity(cube(3, 3), clamped=None), 4).diagnose()
+    agree(diagnosis.report is None and diagnosis.advice == () and diagnosis.figures is None)
+    agree("singular" in diagnosis.message and "singular" in str(diagnosis))
+    agree(diagnosis.records[0]["report"] is None)
 
 
 # -- advice: a problem that gets it, and one that does not
@@ -132,17 +136,17 @@ def test_few_and_many_dofs(monkeypatch):
     many = torn(body, COMM.size)
     advises("mean dofs of a subdomain", few, many)
     monkeypatch.setattr(advice, "MANY_DOFS", 300)
-    said = [a.text for a in many.diagnose().advice]
-    agree(said == ["Use more subdomains."])
+    texts = [a.text for a in many.diagnose().advice]
+    agree(texts == ["Use more subdomains."])
 
 
 def test_one_subdomain_for_each_process_is_not_too_small():
     """One subdomain on each process is not called too small, as fewer are impossible."""
     problem = torn(poisson(cube(2, 6)), COMM.size)
     problem.solve()
-    found = problem.diagnose()
-    agree(found.figures.subdomains_per_process.largest == 1)
-    agree("mean dofs of a subdomain" not in [each.quantity for each in found.advice], found)
+    diagnosis = problem.diagnose()
+    agree(diagnosis.figures.subdomains_per_process.largest == 1)
+    agree("mean dofs of a subdomain" not in [each.quantity for each in diagnosis.advice], diagnosis)
 
 
 def test_many_iterations(monkeypatch):

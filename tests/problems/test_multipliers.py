@@ -48,9 +48,9 @@ def test_n_unknowns_take_one_more_evaluation():
     A = random.uniform(-0.8, 0.8, (n, n))
     b = random.uniform(-1.0, 1.0, n)
     agree(np.abs(np.linalg.eigvals(A)).max() > 1.2)
-    own = np.r_[part(n)]
-    order = np.r_[own, np.setdiff1d(np.arange(n), own)]
-    anderson = Anderson(COMM, len(own))
+    owned_rows = np.r_[part(n)]
+    order = np.r_[owned_rows, np.setdiff1d(np.arange(n), owned_rows)]
+    anderson = Anderson(COMM, len(owned_rows))
     U = np.zeros(n)
     for _ in range(n + 1):
         U[order] = anderson.next(U[order], (A @ U + b - U)[order])
@@ -161,10 +161,10 @@ def test_load_steps():
 
     steps = Steps(first=0.2, least=0.05)
     state = [body.u, *body.fields]
-    found = follow_load(solved, set_load, [0.2, 0.4, 0.6], steps, state=state)
-    agree(sum(step.failures for step in found) == 1)
+    accepted = follow_load(solved, set_load, [0.2, 0.4, 0.6], steps, state=state)
+    agree(sum(step.failures for step in accepted) == 1)
     small(swelling(body), 1e-6)
-    agree(found[-1].load == 0.6)
+    agree(accepted[-1].load == 0.6)
 
 
 def test_a_kappa_that_is_too_small(monkeypatch):

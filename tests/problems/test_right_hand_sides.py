@@ -107,8 +107,8 @@ def test_lifted_vector_where_feti_lifts(body, caplog):
     """A lifted vector where FETI lifts itself causes one warning with the remedy."""
     body.problem.linear_system()[1].destroy()
     for _ in range(2):
-        found = solved(body.problem.solver, lifted(body))
-    agree(COMM.allreduce(np.abs(found - body.exact).max(initial=0.0), op=max) > 0.1)
+        solution = solved(body.problem.solver, lifted(body))
+    agree(COMM.allreduce(np.abs(solution - body.exact).max(initial=0.0), op=max) > 0.1)
     texts = logged_messages(caplog)
     agree(len(texts) == 1 and "FETI lifts it again" in texts[0], texts)
     agree("assemble_rhs(L)" in texts[0] and "FETI(lifted=True)" in texts[0], texts)

@@ -94,12 +94,12 @@ def test_intervals_cover_as_often_as_they_say():
 def test_covariance_is_that_of_linear_regression():
     """For a linear model the covariance is that of linear regression."""
     data = [measured(mooney_rivlin, RUBBER, equibiaxial(STRETCH), noise=0.1, seed=5)]
-    found = fit(mooney_rivlin, data, {"c10": 1.0, "c01": 1.0}, jit_options=JIT)
+    result = fit(mooney_rivlin, data, {"c10": 1.0, "c01": 1.0}, jit_options=JIT)
     R = slopes(data[0].path)
     best, squares, *_ = np.linalg.lstsq(R, data[0].stress.ravel(), rcond=None)
-    assert list(found.values.values()) == pytest.approx(best.tolist(), rel=1e-7)
+    assert list(result.values.values()) == pytest.approx(best.tolist(), rel=1e-7)
     covariance = squares[0] / (len(R) - 2) * np.linalg.inv(R.T @ R)
-    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-5)
+    np.testing.assert_allclose(result.covariance, covariance, rtol=1e-5)
 
 
 def test_weights_count():
@@ -127,11 +127,11 @@ def test_parameter_on_its_bound_has_no_interval():
 def test_data_that_do_not_determine_a_parameter():
     """Simple shear, which determines only c₁₀ + c₀₁, gives unbounded intervals and a note."""
     data = [measured(mooney_rivlin, RUBBER, simple_shear(STRETCH - 1), noise=0.01)]
-    found = fit(mooney_rivlin, data, {"c10": 1.0, "c01": 1.0}, jit_options=JIT)
-    assert sum(found.values.values()) == pytest.approx(2.5, rel=0.05)
-    assert set(found.intervals.values()) == {(-np.inf, np.inf)}
-    assert str(found).count("not determined by the data") == 2
-    np.testing.assert_array_equal(found.correlation, np.nan)
+    result = fit(mooney_rivlin, data, {"c10": 1.0, "c01": 1.0}, jit_options=JIT)
+    assert sum(result.values.values()) == pytest.approx(2.5, rel=0.05)
+    assert set(result.intervals.values()) == {(-np.inf, np.inf)}
+    assert str(result).count("not determined by the data") == 2
+    np.testing.assert_array_equal(result.correlation, np.nan)
 
 
 def test_tables():
