@@ -11,7 +11,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from types import FrameType
 from typing import NoReturn
 
@@ -215,9 +215,13 @@ def matrix_of_map(apply: Callable[[Array], Array], n: int) -> Array:
 
 
 def garbage(comm: MPI.Comm) -> str:
-    """Return PETSc's list of objects that wait for a collective ``destroy``; empty if none do."""
+    """Return PETSc's list of objects that wait for a collective ``destroy``; empty if none do.
+
+    petsc4py prints to ``sys.stdout`` if that is replaced, as pytest does, and to file descriptor 1
+    otherwise.
+    """
     sys.stdout.flush()
-    with tempfile.TemporaryFile() as file:
+    with redirect_stdout(sys.__stdout__), tempfile.TemporaryFile() as file:
         screen = os.dup(1)
         os.dup2(file.fileno(), 1)
         try:
@@ -230,5 +234,6 @@ def garbage(comm: MPI.Comm) -> str:
         file.seek(0)
         text = file.read().decode()
     text = comm.bcast(text)
-    entries = sum(map(int, re.findall(r"Total entries: (\d+)", text)))
-    return text if entries else ""
+    counts = re.findall(r"Total entries: (\d+)", text)
+    assert len(counts) == comm.size, f"PETSc printed no list of its garbage: {text!r}"
+    return text if any(map(int, counts)) else ""
