@@ -304,6 +304,7 @@ def called_functions(work):
 @each(("options", "skew", "bordered"), FAULTY)
 def test_fault_on_one_process_is_an_error_on_all(options, skew, bordered, torn_grid, caplog):
     """Each local function is made to fail on one process; none waits, and no object is left."""
+    collect()  # what earlier tests have left
     change = unsymmetric(0.02, skew=True) if skew else None
     problem = torn_grid((2, 2), (3, 2), components=2, change=change)
     solver_message = partial(message_of_solve, problem, options, bordered=bordered)

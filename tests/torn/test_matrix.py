@@ -39,17 +39,20 @@ def create_torn(torn_grid, lifetime):
 @pytest.mark.parametrize(
     ("subdomains", "cells", "components"), [((3,), (4,), 1), ((2, 2), (2, 3), 2)]
 )
-def test_torn_matrix_acts_as_the_assembled_one(create_torn, subdomains, cells, components):
+def test_torn_matrix_acts_as_the_assembled_one(
+    create_torn, subdomains, cells, components, lifetime
+):
     """T, K and Tᵀ agree with those made by hand, for vectors and columns."""
     problem, torn, own_rows = create_torn(subdomains, cells, components=components)
     rng = np.random.default_rng(SEED)
     x = rng.standard_normal(len(problem.dirichlet))
     t = rng.standard_normal(len(problem.to_global))
-    x_vec = problem.vector(x)
-    y_vec = problem.A.createVecLeft()
+    x_vec = lifetime.own(problem.vector(x))
+    y_vec = lifetime.own(problem.A.createVecLeft())
     problem.A.mult(x_vec, y_vec)
     equal(whole(y_vec.array_r), problem.matrix @ x, 1e-13)
-    equal(dense(problem.A.convert("aij", PETSc.Mat())), problem.matrix, 1e-13)
+    assembled = lifetime.own(problem.A.convert("aij", PETSc.Mat()))
+    equal(dense(assembled), problem.matrix, 1e-13)
     equal(whole(torn.tear(x_vec.array_r)), problem.T @ x)
     equal(whole(torn.assemble(t[own_rows])), problem.T.T @ t, 1e-14)
     equal(whole(torn.multiplicity()), problem.T.sum(axis=0).astype(int))
