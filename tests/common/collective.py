@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import re
 import sys
@@ -212,6 +213,15 @@ def matrix_of_map(apply: Callable[[Array], Array], n: int) -> Array:
     mine = np.arange(last - n, last)
     columns = [apply((mine == j).astype(np.float64)) for j in range(COMM.allreduce(n))]
     return whole(np.column_stack(columns))
+
+
+def collect_garbage() -> None:
+    """Collect Python's garbage, and that of PETSc. Collective.
+
+    The traceback of an expected error keeps objects whose ``destroy`` is collective.
+    """
+    gc.collect()
+    PETSc.garbage_cleanup()
 
 
 def garbage(comm: MPI.Comm) -> str:

@@ -24,7 +24,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from cases import case, each, every_type
-from collective import COMM, agree, equal, garbage, logged_messages
+from collective import COMM, agree, collect_garbage, equal, garbage, logged_messages
 from hand_torn import nowhere, random_values, unsymmetric
 from problems import cube, elasticity, poisson, torn
 
@@ -41,18 +41,12 @@ def resident_memory():
     return pages * 4096 / 2**20
 
 
-def collect():
-    """Collect Python's garbage, and that of PETSc."""
-    gc.collect()
-    PETSc.garbage_cleanup()
-
-
 @contextmanager
 def releases_matrix(problem):
     """Assert that the block leaves no new reference to the torn matrix and its local one."""
     before = problem.A.getRefCount(), problem.local.getRefCount()
     yield
-    collect()
+    collect_garbage()
     after = problem.A.getRefCount(), problem.local.getRefCount()
     agree(before == after, (before, after))
 
@@ -126,7 +120,7 @@ def test_solution_outlives_the_problem():
     A = linear.A
     values = u.x.array.copy()
     del linear
-    collect()
+    collect_garbage()
     equal(u.x.array, values)
     agree(A.handle == 0)  # destroyed with its problem, and says so
 
@@ -192,7 +186,7 @@ def test_memory_does_not_grow(action):
         else:
             linear._system.tangent._K.mat.stateIncrease()
             linear.solver.getPythonContext().setUp(linear.solver)
-        collect()
+        collect_garbage()
 
     rounds = 5
     windows = 4
@@ -304,7 +298,7 @@ def called_functions(work):
 @each(("options", "skew", "bordered"), FAULTY)
 def test_fault_on_one_process_is_an_error_on_all(options, skew, bordered, torn_grid, caplog):
     """Each local function is made to fail on one process; none waits, and no object is left."""
-    collect()  # what earlier tests have left
+    collect_garbage()  # what earlier tests have left
     change = unsymmetric(0.02, skew=True) if skew else None
     problem = torn_grid((2, 2), (3, 2), components=2, change=change)
     solver_message = partial(message_of_solve, problem, options, bordered=bordered)

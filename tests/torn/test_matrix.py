@@ -11,7 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 import scipy.sparse
-from collective import COMM, agree, dense, equal, raises, whole
+from collective import COMM, agree, collect_garbage, dense, equal, raises, whole
 
 from dolfinx_feti.errors import SetUpError
 from dolfinx_feti.runtime.petsc_library import CSRMatrix
@@ -158,6 +158,7 @@ def test_near_kernel_is_required_only_with_several_components(create_torn):
     _, blocked, _ = create_torn((2, 1), (1, 1), components=2, modes=0)
     with raises(SetUpError, "set_near_kernel"):
         blocked.near_kernel()
+    collect_garbage()
 
 
 def test_stiffness_is_the_diagonal_unless_it_is_attached(create_torn, lifetime):
