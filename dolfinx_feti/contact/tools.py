@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import reduce
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 
@@ -36,8 +36,9 @@ __all__ = ["Tool", "Vector", "cylinder", "gap_from", "half_space", "sphere", "to
 #: returns an expression, a scalar. ``Any``, because UFL's operators have no types.
 Tool: TypeAlias = Callable[[Any], Any]
 
-#: A point or a direction: numbers, or a Constant or expression of UFL.
-Vector: TypeAlias = Sequence[float] | Expr
+#: A point or a direction: numbers, some of which may be Constants or expressions of UFL; or one
+#: Constant or expression of UFL for all components.
+Vector: TypeAlias = Sequence[float | Expr] | Expr
 
 
 def half_space(normal: Vector, point: Vector | None = None, *, offset: float | Expr = 0.0) -> Tool:
@@ -195,16 +196,24 @@ def _check_point(name: str, point: Vector | None) -> None:
     """Raise a ValueError if a number is not finite. Expressions of UFL are not checked."""
     if point is None or isinstance(point, Expr):
         return
-    numbers = np.asarray(point, dtype=float)
+    message = f"{name} = {point}: give finite numbers, one for each coordinate."
+    if not isinstance(point, Sequence | np.ndarray):
+        raise ValueError(message)
+    numbers = np.asarray([c for c in point if not isinstance(c, Expr)], dtype=float)
     if numbers.ndim != 1 or not np.all(np.isfinite(numbers)):
-        raise ValueError(f"{name} = {point}: give finite numbers, one for each coordinate.")
+        raise ValueError(message)
 
 
 def _check_direction(name: str, direction: Vector) -> None:
     """Raise a ValueError if a direction of numbers is zero, or not finite."""
     _check_point(name, direction)
-    if not isinstance(direction, Expr) and _norm(direction) == 0.0:
+    if _has_numbers_alone(direction) and _norm(direction) == 0.0:
         raise ValueError(f"{name} = {tuple(direction)}: give a vector that is not zero.")
+
+
+def _has_numbers_alone(vector: Vector) -> TypeGuard[Sequence[float]]:
+    """Return True if no component of a vector is a Constant or an expression of UFL."""
+    return not isinstance(vector, Expr) and not any(isinstance(c, Expr) for c in vector)
 
 
 def _norm(direction: Sequence[float]) -> float:
@@ -214,6 +223,8 @@ def _norm(direction: Sequence[float]) -> float:
 
 def _vector(name: str, vector: Vector | None, x: Any) -> Any:
     """Return a vector of UFL with as many components as the position x; zero for None.
+
+    Components that are Constants or expressions stay what they are, so that the tool follows them.
 
     Raises:
         ValueError: The vector has a different number of components.
@@ -225,7 +236,9 @@ def _vector(name: str, vector: Vector | None, x: Any) -> Any:
             f"{name} = {vector} has {len(vector)} components, but the mesh has {len(x)} "
             f"coordinates: give {len(x)}. In the plane a cylinder is sphere(radius, centre)."
         )
-    return vector if isinstance(vector, Expr) else ufl.as_vector([float(c) for c in vector])
+    if isinstance(vector, Expr):
+        return vector
+    return ufl.as_vector([c if isinstance(c, Expr) else float(c) for c in vector])
 
 
 def _unit_vector(name: str, direction: Vector, x: Any) -> Any:
@@ -235,7 +248,7 @@ def _unit_vector(name: str, direction: Vector, x: Any) -> Any:
         ValueError: The direction has a different number of components.
     """
     d = _vector(name, direction, x)
-    if isinstance(direction, Expr):
+    if not _has_numbers_alone(direction):
         return d / _length(d)
     length = _norm(direction)
     return ufl.as_vector([float(component) / length for component in direction])

@@ -47,8 +47,9 @@ __all__ = ["follow_load"]
 
 #: Remedy if the tangent is indefinite, however short the step.
 LIMIT_POINT = (
-    "The tangent turns indefinite there, as at a limit point of the load: no equilibrium with a "
-    "larger load is near. Prescribe a displacement or a volume in place of the load."
+    "The tangent is indefinite there, as beyond a limit point of the load. If the least increment "
+    "is small already, prescribe a displacement or a volume in place of the load; else allow "
+    "smaller increments by Steps(least=…), and check the units of the load."
 )
 
 #: Remedy after other failures at the least increment.

@@ -54,17 +54,46 @@ def test_constant_moves_a_tool():
     np.testing.assert_allclose(values, [4.0, 2.0], rtol=1e-14)
 
 
+#: A tool that a number c places or turns, and its distance from (3, 4, 12) for c = 0 and c = 1.
+PLACED = {
+    "plate-point": (lambda c: half_space((0, 0, 1), (0, 0, 2 * c)), 12.0, 10.0),
+    "plate-normal": (lambda c: half_space((0, c, 1 - c)), 12.0, 4.0),
+    "sphere-centre": (lambda c: sphere(1.0, (0, 0, 12 * c)), 12.0, 4.0),
+    "cylinder-point": (lambda c: cylinder((0, 0, 1), 1.0, (3 * c, 0, 0)), 4.0, 3.0),
+    "cylinder-axis": (lambda c: cylinder((c, 0, 1 - c), 1.0), 4.0, math.hypot(4, 12) - 1.0),
+    "torus-centre": (lambda c: torus((0, 0, 1), 5.0, 1.0, (0, 0, 12 * c)), 11.0, -1.0),
+    "torus-axis": (lambda c: torus((0, 0, 1 + c), 5.0, 1.0), 11.0, 11.0),
+    "list": (lambda c: sphere(1.0, [0, 0, 12 * c]), 12.0, 4.0),
+}
+
+
+@pytest.mark.parametrize("name", PLACED)
+def test_constant_among_the_components_of_a_vector_moves_a_tool(name):
+    """A tool follows a Constant that is one component of a point or a direction."""
+    create_tool, first, second = PLACED[name]
+    mesh = dolfinx.mesh.create_unit_square(COMM, 1, 1)
+    c = dolfinx.fem.Constant(mesh, 0.0)
+    place = ufl.as_vector([3.0, 4.0, 12.0])
+    distance = dolfinx.fem.form(create_tool(c)(place) * ufl.dx(mesh))
+    values = []
+    for value in (0.0, 1.0):
+        c.value = value
+        values.append(COMM.allreduce(dolfinx.fem.assemble_scalar(distance)))
+    np.testing.assert_allclose(values, [first, second], rtol=1e-14)
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
         (lambda: sphere(0.0), "radius = 0.0: give a positive"),
         (lambda: sphere(1.0, (0, math.nan, 0)), "centre = .* give finite"),
+        (lambda: sphere(1.0, 3.0), "centre = 3.0: give finite"),
         (lambda: cylinder((0, 0, 0), 1.0), "axis = .* not zero"),
         (lambda: half_space((0, 0, 1), offset=math.inf), "offset = inf"),
         (lambda: union(), "no tools"),
         (lambda: cylinder((0, 0, 1), 1.0)(ufl.as_vector([1.0, 2.0])), "3 components"),
     ],
-    ids=["radius", "centre", "axis", "offset", "union", "plane"],
+    ids=["radius", "centre", "centre-number", "axis", "offset", "union", "plane"],
 )
 def test_bad_tools(make, words):
     """Tools with bad arguments are refused."""

@@ -181,7 +181,7 @@ def test_least_increment(create_fake_problem, start, target, first, least, last)
     [
         pytest.param(
             IndefiniteTangentError("It fails."),
-            "limit point .* Prescribe a displacement or a volume",
+            "limit point .* prescribe a displacement or a volume",
             id="indefinite",
         ),
         pytest.param(LinearSolverError("Add conditions."), "Add conditions.$", id="linear-solver"),
