@@ -10,11 +10,16 @@ there is neither, the pages load it from the network, and the test of the site c
 
 from __future__ import annotations
 
+import inspect
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from sphinx.application import Sphinx
+from sphinx.util.inspect import stringify_signature
 
 import dolfinx_feti
 
@@ -84,3 +89,27 @@ mathjax = Path(os.environ.get("MATHJAX", debian))
 if mathjax.is_file():
     html_static_path.append(str(mathjax))
     mathjax_path = mathjax.name
+
+
+def show_constructor(
+    app: Sphinx,
+    what: str,
+    name: str,
+    obj: object,
+    options: Any,
+    signature: str | None,
+    returned: str | None,
+) -> tuple[str | None, str | None]:
+    """Return the signature of ``__init__`` for a class that has ``__new__``, too.
+
+    Sphinx would show the arguments of ``__new__``, which hands all of them on.
+    """
+    if isinstance(obj, type) and signature and obj.__new__ is not object.__new__:
+        without_return = inspect.signature(obj).replace(return_annotation=inspect.Signature.empty)
+        signature = stringify_signature(without_return)
+    return signature, returned
+
+
+def setup(app: Sphinx) -> None:
+    """Connect the function above to Sphinx."""
+    app.connect("autodoc-process-signature", show_constructor)

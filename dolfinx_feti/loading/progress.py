@@ -20,6 +20,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from pathlib import Path
 from types import FrameType
 from typing import Any, Literal
 
@@ -190,6 +191,17 @@ class Progress:
             return ""
         rest = tqdm.format_interval(self._seconds * (1.0 - share) / share)
         return f"about {rest} left"
+
+    def log_restart(self, load: float, folder: Path) -> None:
+        """Log where a path continues, and whether anything is left of it.
+
+        Args:
+            load: Its last load or time.
+            folder: The folder of its checkpoint.
+        """
+        rest = "" if self._length > 0.0 else ": nothing is left to do"
+        steps = f"{self._quantity} step {self._number}"
+        self._log(f"restart from {folder}: after {steps}, at {load:.5g} of {self._goal}{rest}")
 
     def log_failure(self, load: float, error: Exception) -> None:
         """Log an attempt that failed."""

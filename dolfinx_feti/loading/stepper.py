@@ -148,6 +148,8 @@ class Stepper(ABC, Generic[Step]):
                 quantity=self._quantity,
             )
             with closing(progress):
+                if checkpoint is not None and is_restarted:
+                    progress.log_restart(self.at, checkpoint.folder)
                 self._begin(targets, is_restarted=is_restarted)
                 self.state.update_accepted()
                 for target in targets:

@@ -79,7 +79,7 @@ class NonlinearProblem(TornProblem):
     Example::
 
         p = dolfinx.fem.Function(dolfinx.fem.functionspace(mesh, ("DG", 0)))
-        psi += materials.perturbed_lagrangian(J, p, kappa=1e3)
+        psi += materials.perturbed_lagrangian(J, p, kappa=1e5)
         problem = NonlinearProblem(
             psi * ufl.dx + pressure * ufl.inner(N, u) * ds(lumen), u, bcs=bcs, condense=p,
             subdomains=4, petsc_options_prefix="artery_", petsc_options={"snes_rtol": 1e-10},

@@ -294,17 +294,29 @@ DAMAGED_XDMF_FILES = [
     damaged(
         "minus_layers.xdmf", table("MeshTags/layers/topology", lambda t: 0 * t - 9), "not in the"
     ),
-    damaged("one_layer.xdmf", table("MeshTags/layers/topology", lambda t: 0 * t), "layers are not"),
+    damaged(
+        "one_layer.xdmf",
+        table("MeshTags/layers/topology", lambda t: 0 * t),
+        "layers have no name, or are not in its mesh",
+    ),
     damaged("narrow.xdmf", table("MeshTags/layers/topology", lambda t: t[:, :3])),
     damaged("few_tags.xdmf", table("MeshTags/layers/Values", lambda v: v[:5])),
     damaged("few_layers.xdmf", table("MeshTags/layers/topology", lambda t: t[:5])),
     damaged("lost_facets.xdmf", table(SURFACES, lambda t: 0 * t - 1), "not in the"),
-    damaged("stray_facets.xdmf", table(SURFACES, lambda t: 0 * t), "surfaces are not"),
     damaged(
-        "nameless.xdmf", table("MeshTags/layers/Values", lambda t: 777 + 0 * t), "layers are not"
+        "stray_facets.xdmf",
+        table(SURFACES, lambda t: 0 * t),
+        "surfaces have no name, or are not in its mesh",
     ),
     damaged(
-        "bare.xdmf", table("MeshTags/surfaces/Values", lambda t: 777 + 0 * t), "surfaces are not"
+        "nameless.xdmf",
+        table("MeshTags/layers/Values", lambda t: 777 + 0 * t),
+        "layers have no name, or are not in its mesh",
+    ),
+    damaged(
+        "bare.xdmf",
+        table("MeshTags/surfaces/Values", lambda t: 777 + 0 * t),
+        "surfaces have no name, or are not in its mesh",
     ),
     damaged("list.xdmf", lambda p: p.write_text(re.sub("{&quot;media.*?}", "[]", p.read_text()))),
     damaged(

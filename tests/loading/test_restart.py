@@ -206,7 +206,7 @@ def interrupted(folder: Path, rtol: float | None = None) -> LoadStep:
     return beyond[0]
 
 
-def test_a_restart_goes_the_way_of_one_run(tmp_path):
+def test_a_restart_goes_the_way_of_one_run(tmp_path, caplog):
     """A restarted path repeats steps, increments, predictions and iterations."""
     whole, one = follow(tmp_path / "whole", 3.0, restart=False)
     agree(all(step.history[0].lag == 0 for step in whole), "a checkpoint has no preconditioner")
@@ -217,8 +217,12 @@ def test_a_restart_goes_the_way_of_one_run(tmp_path):
     for a, b in zip(parts, whole, strict=True):
         agree(len(a.history) == len(b.history) and a.failures == b.failures)
     equal(other.u.x.array, one.u.x.array, 1e-9)
+    caplog.clear()
+    caplog.set_level("INFO", logger="dolfinx_feti")
     again, finished = follow(tmp_path / "parts", 3.0, restart=True)
     agree([step.load for step in again] == [step.load for step in parts], "nothing is left to do")
+    restart = f"after load step {len(parts)}, at 3 of 3: nothing is left to do"
+    agree(COMM.bcast(restart in caplog.text), caplog.text)
     equal(finished.u.x.array, other.u.x.array, 1e-14)
 
 

@@ -65,7 +65,8 @@ UNEVEN_SCALES = (
 )
 
 REMEDY = (
-    "Add Dirichlet conditions, connect loose parts, or give A this null space (A.setNullSpace)."
+    "Add Dirichlet conditions, connect loose parts, or give A this null space (null_space= of a "
+    "problem, A.setNullSpace of a matrix)."
 )
 
 

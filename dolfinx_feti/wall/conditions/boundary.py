@@ -19,7 +19,7 @@ import ufl
 
 from dolfinx_feti.mechanics.loads import TangentKind, follower_pressure, follower_pressure_tangent
 from dolfinx_feti.runtime.arrays import Array
-from dolfinx_feti.runtime.values import require_positive, require_type
+from dolfinx_feti.runtime.values import require_finite, require_positive, require_type
 from dolfinx_feti.wall.conditions.condition import (
     Condition,
     Contribution,
@@ -93,7 +93,12 @@ class Boundary:
     prestretch: Prestretch | None
 
     def set_pressure(self, pressure: float) -> None:
-        """Set the wall's pressure [kPa]; ``loads.mmhg(120.0)`` converts from mmHg."""
+        """Set the wall's pressure [kPa]; ``loads.mmhg(120.0)`` converts from mmHg.
+
+        Raises:
+            ValueError: The pressure is not finite.
+        """
+        require_finite(pressure=pressure)
         self.pressure.value = pressure
 
     def set_stretch(self, stretch: float) -> None:
