@@ -67,7 +67,7 @@ def sphere(radius: float | Expr, centre: Vector | None = None, *, inside: bool =
     """Return the distance from a sphere, ‖x − c‖ − R; in the plane from a circle.
 
     Args:
-        radius: R.
+        radius: Its radius R.
         centre: c; the origin if not given.
         inside: Whether the body is inside a hollow sphere, R − ‖x − c‖.
 
@@ -90,8 +90,9 @@ def cylinder(
     """Return the distance from an endless cylinder, ‖(I − a ⊗ a)(x − p)‖ − R.
 
     Args:
-        axis: a, of any length. In the plane take :func:`sphere`, which is a circle there.
-        radius: R.
+        axis: Its direction a, of any length. In the plane take :func:`sphere`, which is a circle
+            there.
+        radius: Its radius R.
         point: p, a point of the axis; the origin if not given.
         inside: Whether the body is inside a hollow cylinder, R − ‖…‖.
 

@@ -232,6 +232,15 @@ def test_bad_conditions(wall, conditions, match):
         apply_conditions(wall, displacement(wall), conditions)
 
 
+@pytest.mark.parametrize("pressure", [np.nan, np.inf])
+def test_pressure_that_is_not_finite_is_refused(wall, pressure):
+    """The message names the argument, and the pressure stays as it is."""
+    boundary = apply_conditions(wall, displacement(wall), ENDS)
+    with raises(ValueError, "pressure = .*give a finite number"):
+        boundary.set_pressure(pressure)
+    agree(boundary.pressure.value == 0.0)
+
+
 @pytest.mark.parametrize(
     ("axis", "stretch", "match"),
     [
