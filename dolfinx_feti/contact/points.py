@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Quadrature element on facets: a dof for each quadrature point of each facet of a cell.
+r"""Quadrature element on facets, with a dof at each quadrature point of each facet of a cell.
 
 A Function in its space has one value for each facet and each point of its quadrature rule. In an
 integral over facets,

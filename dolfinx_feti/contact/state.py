@@ -38,7 +38,7 @@ class ContactState:
     """λ and ε of a contact, which a problem updates from solve to solve."""
 
     def __init__(self, evaluation: ContactEvaluation, traces: Traces) -> None:
-        """Begin with λ and ε as the law has them.
+        """Copy the initial λ and ε of the law.
 
         Args:
             evaluation: Values at the points of the surface.

@@ -138,7 +138,7 @@ class SolverCache:
             raise
 
     def record(self, info: SolveInfo) -> None:
-        """Store the Ritz vectors of a solve, and the rate of convergence of a first solve.
+        """Store the Ritz vectors of a solve, and of a first one its rate of convergence.
 
         Outside Newton's method Ritz vectors are not stored: each matrix is deflated by soft fields
         of its own.

@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-"""Checks of options in PETSc's database: numbers of a kind, and those that PETSc itself reads.
+"""Checks of options in PETSc's database: types of numbers, and options that PETSc itself reads.
 
 PETSc reports a wrong value of its own options by an error number. They are checked here before
 PETSc reads them.

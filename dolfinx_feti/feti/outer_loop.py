@@ -450,7 +450,7 @@ class _OuterLoop:
         return iterate.has_small_residual and iterate.error_estimate <= self._goal.error_tolerance
 
     def _meets_tolerances(self, iterate: _Iterate) -> bool:
-        """Return True if residual and η are at their tolerances.
+        """Return True if residual and η meet their tolerances.
 
         A residual that rounding limits does not meet its tolerance: ``converged_reason`` has a case
         of its own for it.

@@ -58,7 +58,7 @@ def nearest_option(name: str) -> str | None:
 
 
 def may_be_solver_option(name: str) -> bool:
-    """Return True if an option under the prefix of a solver may be meant for this solver.
+    """Return True if an option with the prefix of a solver may be one of this solver.
 
     Not all options under a prefix are: another solver may have a longer prefix that begins with
     this one, and the user's program may have options of its own. For example, for the solver with

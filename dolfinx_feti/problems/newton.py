@@ -512,7 +512,7 @@ class Stopwatch:
     """Measures the time between laps."""
 
     def __init__(self) -> None:
-        """Begin the first lap."""
+        """Start the first lap."""
         self._last = time.perf_counter()
 
     def lap(self) -> float:

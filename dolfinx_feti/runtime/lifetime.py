@@ -34,5 +34,5 @@ class Lifetime(ExitStack):
         return petsc_object
 
     def release(self) -> None:
-        """Give up the objects without destroying them: another owner does."""
+        """Forget the objects without destroying them; another owner destroys them."""
         self.pop_all()

@@ -334,7 +334,8 @@ class Torn:
         """Return a torn matrix in which another local matrix replaces K. Collective.
 
         ``graph`` and ``subdomains`` are read from the new matrix. All else, such as the star forest
-        and the numbers of dofs and subdomains, is shared with this object. The result must not be
+        and the numbers of dofs and subdomains, is shared with this object. ``A`` still holds the
+        old K, and so do the answers of ``is_symmetric`` and ``near_kernel``. The result must not be
         used after :meth:`destroy` of this object. Its own :meth:`destroy` frees nothing.
 
         Args:

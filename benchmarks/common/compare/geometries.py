@@ -36,7 +36,7 @@ CUBE_LOAD = loads.mmhg(1.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """Size and material of a body, as the command line asks for them."""
+    """Size and material of a body on the command line."""
 
     dofs: int  # approximate number
     degree: int  # of the displacement

@@ -123,7 +123,7 @@ class _Averages:
         self.panel_rows = _PanelRows(copies.pair_rows, copies.fetch(first_dof), copies.fetch(width))
 
     def values(self, j: int) -> Array:
-        """Return T V in each panel row, for column j of its block, (panel rows,). Collective.
+        """Return T V on the panel rows, for column j of each block, (panel rows,). Collective.
 
         A panel row stands for one copy of the dof of its row, and for the block of that copy's
         subdomain. The columns of a block are nonzero in this copy alone, so T Tᵀ δ U has one term.

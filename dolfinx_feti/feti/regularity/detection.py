@@ -77,7 +77,7 @@ DEPENDENT_FIELD_NORM = 1e-8
 
 
 class CoarseMotions(Protocol):
-    """The motions of the torn structure that coarse vectors stand for."""
+    """The motions of the torn structure that coarse vectors describe."""
 
     def field(self, s: Array) -> Array:
         """Return the motion E s with its copies averaged. Collective.

@@ -52,8 +52,8 @@ class SubdomainAnalysis:
 
     Attributes:
         subdomain: The subdomain.
-        local_symbolic: Symbolic factor of the regularised K_i. None if PETSc factors it, or if S_i
-            is factored instead, because the interior is eliminated.
+        local_symbolic: Symbolic factor of K_i, by which K_ρ = K_i + ρ R Rᵀ is factored. None if
+            PETSc factors it, or if S_i is factored instead, because the interior is eliminated.
         interior_symbolic: Symbolic factor that eliminates the interior: it factors K_II, and forms
             S_i as well if S is formed. None if PETSc factors K_II, or if K_II is not factored.
     """
@@ -71,7 +71,7 @@ class Analysis:
         is_interior_eliminated: Whether the interior is eliminated, and S is formed.
         has_interior_factors: Whether K_II is factored, as it always is if the interior is
             eliminated.
-        local_options: How PETSc factors K_ρ, if it does.
+        local_options: How PETSc factors K_ρ = K_i + ρ R Rᵀ, if it does.
         interior_options: How PETSc factors K_II, if it does.
         by_subdomain: The subdomains of this process with their symbolic factors.
     """

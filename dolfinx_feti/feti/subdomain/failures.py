@@ -22,6 +22,7 @@ from dolfinx_feti.runtime.collective import error_message, on_all
 T = TypeVar("T")
 
 #: Mistakes in the program, which other data or options cannot avoid. They are raised unchanged.
+#: ``ValueError`` is none of them: numpy and LAPACK raise it for NaN and Inf.
 PROGRAM_ERRORS = (AssertionError, AttributeError, LookupError, NameError, TypeError)
 
 

@@ -116,7 +116,7 @@ class GeneralizedInverse:
     """
 
     def __init__(self, by_subdomain: Sequence[SubdomainInverse], errors: DeferredErrors) -> None:
-        """Take over the inverses of all subdomains of this process.
+        """Store the inverses of all subdomains of this process.
 
         Args:
             by_subdomain: K_i⁺ of each subdomain.

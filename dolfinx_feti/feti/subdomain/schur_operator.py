@@ -168,7 +168,7 @@ class FormedSchurOperator(SchurOperator):
     def __init__(
         self, torn: Torn, by_subdomain: list[FormedSchurComplement], errors: DeferredErrors
     ) -> None:
-        """Take over S_i of all subdomains of this process.
+        """Store S_i of all subdomains of this process.
 
         Args:
             torn: The torn matrix.
@@ -212,7 +212,7 @@ class AppliedSchurOperator(SchurOperator):
         rows: InterfaceRows | None,
         errors: DeferredErrors,
     ) -> None:
-        """Take over S_i of all subdomains of this process, and the rows of K.
+        """Store S_i of all subdomains of this process, and the rows of K.
 
         Args:
             torn: The torn matrix.

@@ -118,7 +118,7 @@ class ShiftedDirections:
         self._free_steps_left = FREE_STEPS if first.violates_constraints else 0
 
     def directions(self, iterate: Iterate, *, is_first: bool) -> Iterator[Direction]:
-        """Yield one direction after the other, in the order of :meth:`_attempts`.
+        """Yield directions in the order of :meth:`_attempts`.
 
         The caller asks for another one only if the last has no step length. Each direction sets the
         level where the next step begins; that of the last one counts.

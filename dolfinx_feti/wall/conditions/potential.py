@@ -1,7 +1,7 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Potential :math:`-\sum p\, V(u)` of the pressures on a wall.
+r"""Potential of the pressures on a wall, :math:`-\sum p\, V(u)`.
 
 V is the volume inside a surface under pressure (``mechanics.loads.enclosed_volume``). A surface
 with open ends has no volume of its own. If its rims are clamped, V still has the right derivative.

@@ -65,7 +65,7 @@ class _Iteration:
     error_estimate = np.nan
 
     def __init__(self, system: PrimalSystem, start: KrylovStart, *, max_k: int) -> None:
-        """Begin at the initial guess.
+        """Start from the initial guess.
 
         Args:
             system: A and its preconditioner.

@@ -11,8 +11,11 @@ To add a dense factorisation, write a class with the methods of ``Factor``, and 
 ``create.factor_dense``, which treats blocks without rows itself. ``PackedMatrix`` returns the block
 in a work space that others overwrite later: the factor has to be a copy, such as a packed one.
 
-To add a sparse factorisation, write two classes with the methods of ``SymbolicFactor`` and of
-``Factor``, and a branch in ``create.analyse_blocks``. Four points:
+To add a sparse factorisation, write classes with the methods of ``SymbolicFactor`` and of
+``Factor``, a pair of both results like ``multifrontal.FrontElimination``, and a branch in
+``create.analyse_blocks``. Name the file in the order at the end, which tests/test_rooms.py reads,
+and add the factorisation to ``factor_block`` in tests/feti/subdomain/factors/test_factors.py. Four
+points:
 
 - For a block with an interface it has to form S. If it cannot, leave these blocks to the present
   branch.

@@ -30,7 +30,7 @@ class BunchKaufmanFactor:
     is_single_precision = False
 
     def __init__(self, L_Δ: Array, interchanges: Indices) -> None:
-        """Take over the results of LAPACK's dsytrf for a matrix of n > 0 rows.
+        """Store the results of LAPACK's dsytrf for a matrix of n > 0 rows.
 
         Args:
             L_Δ: L and Δ in one matrix, (n, n).

@@ -43,7 +43,7 @@ class CholeskyFactor:
     is_single_precision = False
 
     def __init__(self, L: PackedTriangle[np.float64], work: WorkSpace) -> None:
-        """Take over L, (n, n), n > 0; a shared work space is used to unpack it."""
+        """Store L, (n, n), n > 0; a shared work space is used to unpack it."""
         self._L: PackedTriangle[np.float64] | None = L
         self._work = work
 
@@ -91,7 +91,7 @@ class SingleCholeskyFactor:
     is_single_precision = True
 
     def __init__(self, L: PackedTriangle[np.float32], rho: float, work: WorkSpace) -> None:
-        """Take over L, (n, n), n > 0, a factor of S/ρ + R Rᵀ.
+        """Store L, (n, n), n > 0, a factor of S/ρ + R Rᵀ.
 
         Args:
             L: The factor.

@@ -86,9 +86,13 @@ class Elimination(Protocol):
 class SymbolicFactor(Protocol):
     """The symbolic factorisation of one sparse symmetric block, (n_i, n_i); immutable.
 
-    It depends only on the pattern of the block. A block with an interface Γ is the matrix of a
-    subdomain, of which the interior is eliminated. A block without one is eliminated as a whole:
-    all of its dofs are interior ones below, and K_II is the block.
+    It depends only on the pattern of the block, and is created with the block's rows of K
+    (``create.analyse_blocks``). A block with an interface Γ is the matrix of a subdomain, of which
+    the interior is eliminated. A block without one is eliminated as a whole: all of its dofs are
+    interior ones below, and K_II is the block.
+
+    The rows of K_II, also in ``solve`` of its factor, are the interior dofs in ascending order; the
+    rows of S are the dofs of Γ in ascending order.
     """
 
     @property

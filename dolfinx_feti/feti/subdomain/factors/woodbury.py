@@ -89,7 +89,7 @@ class WoodburyFactor:
         correction: Correction | None,
         inertia: FactorInertia,
     ) -> None:
-        """Take over the factor of K_Q. Without modes K_ρ = K_Q = K, and the correction is None."""
+        """Store the factor of K_Q. Without modes K_ρ = K_Q = K, and the correction is None."""
         self.inertia = inertia
         self.last_dofs = last_dofs
         self._factor: Factor | None = factor
