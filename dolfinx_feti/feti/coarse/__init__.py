@@ -26,15 +26,23 @@ function that returns columns U_i of each subdomain, (n_{Γ,i}, any number), as 
 ``primal.preconditioner`` appends them to E, before it computes adaptive columns. Nothing else
 changes: owners, blocks and matrices follow from the widths of the U_i. An option for such columns
 is a field of ``options.FETIOptions``, which ``Pattern.options`` has. An example is
-``corner_columns`` in tests/feti/coarse/test_primal_problem.py.
+``corner_columns`` in tests/feti/coarse/test_primal_problem.py: it takes the dofs with more than two
+copies, which are corners in 2-D; in 3-D they are edges as well. For corners alone, take the nodes
+whose set of subdomains no other node has.
 
 **Columns in place of E** change more, because these parts rely on the span of V containing E:
 
 - ``adaptive`` gets K⁺ as S_ρ⁻¹. They are equal only for forces F with Eᵀ F = 0, which U₀ = E
-  ensures. Without E, pass S_ρ⁻¹ itself, or leave out adaptive columns.
+  ensures. Without E, pass ``SubdomainInverse.solve_regularised_on_interface``, which takes
+  columns, too; or leave out adaptive columns.
 - ``primal.soft_fields`` applies K⁺ instead of K_ρ⁻¹. The difference lies in the span of E.
 - The check for mechanisms (``primal.formulation``) looks for fields of zero energy in the span of
-  V.
+  V. Without E it misses mechanisms outside of it.
+- ``primal.formulation`` takes it that the spectrum begins at one unless stress softens a subdomain.
+  Without E that is not so: compute soft fields always, or never.
+- The number of negative eigenvalues of A₀ becomes a weaker bound of that of A, because buckling
+  modes are part of E.
+- Soft modes are part of E alone: set ``feti_coarse_modes 0``.
 - A₀ is made regular along a given null space of A only if the span of V contains it.
 
 In all cases M remains Tᵀ δ K_ρ⁻¹ δ T: its subdomain solves are not constrained at coarse dofs, as

@@ -45,7 +45,8 @@ class EnergyTolerances:
 #: 1e-10 is far above it. It has to be below the energy in which independent columns differ: with
 #: 1e-6, a plate of t/L = 1/1000 takes 1900 iterations instead of 34; with 1e-11 it takes 34, too.
 #: Eliminating the neighbours' columns reduces a pivot further: one that is kept by the first
-#: tolerance must not be dropped by the second, which is therefore smaller.
+#: tolerance must not be dropped by the second, which is therefore smaller. With a high contrast both
+#: are equal, because rounding leaves no room between them.
 LOW_CONTRAST_TOLERANCES = EnergyTolerances(zero_energy=1e-10, zero_pivot=1e-11)
 
 #: Tolerances for a high contrast. A soft part between stiff subdomains contributes to the energy of
@@ -127,7 +128,8 @@ def _split_by_energy(H: Array, tolerance: float) -> tuple[Array, Array]:
     """Split the columns of one subdomain by their energy.
 
     Args:
-        H: Energies of its columns, (k_i, k_i), symmetric up to rounding.
+        H: Energies of its columns, (k_i, k_i), of which the symmetric part is used. It is symmetric
+            up to rounding if A is.
         tolerance: Largest zero energy, see :func:`independent_combinations`.
 
     Returns:

@@ -6,7 +6,8 @@
 In this room A, b, x, r and z belong to the assembled *interface*: A = Tᵀ S T, and a vector is
 stored by its copies on the interfaces of the subdomains of a process, (n_Γ,), as
 ``interface/copies`` describes. Only ``formulation`` also has the assembled problem of all dofs, and
-writes A_Γ and x_Γ for those of the interface.
+writes A_Γ and x_Γ for those of the interface. V stands for V B, with the independent combinations B
+of coarse vectors (``coarse.energy``), and A₀⁻¹ e for B A₀⁻¹ Bᵀ e.
 
 A solve begins in ``formulation`` and iterates in ``krylov`` on the operators of ``system``;
 ``ritz_vectors`` are then computed, by which ``deflation`` speeds up later solves. A first solve may

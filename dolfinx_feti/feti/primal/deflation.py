@@ -47,7 +47,7 @@ class DeflationSpace:
     """V, and vectors W that are A-orthogonal to it, for one matrix; vectors stored by copies.
 
     Attributes:
-        coarse: V, A V and A₀.
+        coarse: V, Vᵀ A and A₀.
         S: Schur complements of the subdomains of this process.
         W: The vectors, balanced, (n_Γ, k).
         M_inverse_W: M⁻¹ W, with the M of the solves in which W was computed, (n_Γ, k).
@@ -135,7 +135,7 @@ def create_deflation_space(
     Combinations of the vectors that lie in V are dropped.
 
     Args:
-        coarse: V, A V and A₀ of the current matrix.
+        coarse: V, Vᵀ A and A₀ of the current matrix.
         S: Schur complements of the subdomains of this process.
         vectors: W and M⁻¹ W, (n_Γ, k) each; None for V alone.
         is_symmetric: Whether A is symmetric.
