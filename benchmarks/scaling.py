@@ -63,7 +63,7 @@ SHARED_CORES = {
 INHERITED = ("PMI_", "PMIX_", "PRTE_", "OMPI_COMM_WORLD_", "OMPI_FILE_", "OMPI_UNIVERSE_")
 
 #: Records of the page, which ``--predict`` reads without ``--json``.
-RECORDS = Path(__file__).parents[2] / "docs/results/scaling.json"
+RECORDS = Path(__file__).parents[1] / "docs/results/scaling.json"
 
 #: Preconditioner of each choice.
 PC = {"paper": "lumped", "default": "dirichlet"}

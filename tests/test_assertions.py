@@ -94,6 +94,18 @@ def test_failure_shows_the_condition_and_its_operands(name):
     assert not missing, message
 
 
+@pytest.mark.parametrize(
+    "context",
+    [np.arange(3.0), np.zeros(0), [1.5], "1.5"],
+    ids=["array", "empty-array", "list", "text"],
+)
+def test_failure_shows_a_context_of_any_type(context):
+    """An array, too, although its comparison with a text has no truth value."""
+    with pytest.raises(AssertionError) as caught:
+        agree(False, context)
+    assert str(context) in str(caught.value)
+
+
 def test_failure_names_the_processes_where_the_condition_fails():
     """Processes where it holds fail with the same message."""
     last = COMM.size - 1

@@ -336,7 +336,8 @@ def _solve_by_feti(
     """Solve with FETI, under the options of each solver. Collective.
 
     Args:
-        problem: The problem. The options of a solver replace those of the problem.
+        problem: The problem. The options of a solver are added to those of the problem, and take
+            precedence.
         solvers: The solvers, all of the kind FETI.
         system: The linear system.
         owned: Owner of the solutions, which destroys them.

@@ -92,6 +92,20 @@ class Solver:
     name: str
     options: Mapping[str, object]
 
+    def __post_init__(self) -> None:
+        """Check that the options are those of FETI, or have none of FETI.
+
+        Raises:
+            ValueError: Options of FETI and others are mixed under a name of one's own.
+        """
+        others = [key for key in self.options if not key.startswith("feti_")]
+        if self.name != "feti" and 0 < len(others) < len(self.options):
+            raise ValueError(
+                f"Solver {self.name!r} mixes options of FETI with others ({', '.join(others)}): "
+                "give options that begin with feti_ alone. All solvers have the tolerance of the "
+                "problem."
+            )
+
     @property
     def prefix(self) -> str:
         """The prefix of its options, such as ``gamg_elasticity_`` for ``gamg-elasticity``."""

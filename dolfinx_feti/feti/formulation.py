@@ -5,8 +5,7 @@ r"""What the dual and the primal formulation have in common, for the files that 
 
 A formulation is set up for one matrix :math:`A = T^⊤ K T`. ``solve`` takes an assembled right-hand
 side r and returns a torn displacement u with equal copies of each dof, so that
-:math:`A\, T^⊤ δ u = r`; ``precondition`` does the same approximately, with one application of the
-preconditioner.
+:math:`A\, T^⊤ δ u = r`; ``precondition`` does the same approximately, without iterations.
 """
 
 from __future__ import annotations
@@ -118,7 +117,12 @@ class Formulation(Protocol):
         """
 
     def precondition(self, r: PETSc.Vec) -> Array:
-        """Return T z with z = M r ≈ A⁻¹ r, (n,), for an assembled residual r, (N,). Collective.
+        """Return T z with z ≈ A⁻¹ r, (n,), for an assembled residual r, (N,). Collective.
+
+        z is the approximate solution without iterations: in the dual form the displacement of the
+        balanced start, in the primal form the coarse solution and one application of the
+        preconditioner. It is written M r, with an M that is (N, N): not that of the dual form,
+        which is (m, m).
 
         Errors of local work are stored as in :meth:`solve`.
         """

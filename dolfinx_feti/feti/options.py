@@ -6,8 +6,9 @@
 An option ``-<prefix>feti_…`` is a field of :class:`FETIOptions`, with its default. Its type
 determines the allowed values: one of the words of a ``Literal``, a count for an int
 (``option_checks.COUNT``), a share between 0 and 1 for a float (``option_checks.SHARE``). A new
-field needs no further code to be read, checked, and proposed for a misspelt name. All parts of the
-solver have it in ``Pattern.options``. docs/options.md explains each option.
+field of one of these types needs no further code to be read, checked, and proposed for a misspelt
+name; a word of a registry is a str with an entry in ``CHOICES``. All parts of the solver have the
+options in ``Pattern.options``. docs/options.md explains each of them.
 
 ``subsolver_options`` has the options of the sub-solvers that this package reads.
 """

@@ -48,7 +48,8 @@ def require_independent(border: Border, is_free: Mask, comm: MPI.Comm) -> None:
 def _check_columns(columns: Array, corner: Array, is_free: Mask, name: str, comm: MPI.Comm) -> None:
     """Check that columns of a border are not zero on free dofs, and independent. Collective.
 
-    Columns that are coupled to another scalar by D are not checked.
+    Columns that are coupled to a scalar by D are not checked: to another one, or to their own,
+    whose equation then determines it.
 
     Args:
         columns: B or C, (N, m).
@@ -60,7 +61,7 @@ def _check_columns(columns: Array, corner: Array, is_free: Mask, name: str, comm
     all_squares = total_of((columns**2).sum(axis=0), comm)
     gram = total_of(columns[is_free].T @ columns[is_free], comm)
     size = np.sqrt(gram.diagonal())
-    is_coupled = np.abs(corner).max(axis=0, initial=0.0) > 0.0  # with another scalar
+    is_coupled = np.abs(corner).max(axis=0, initial=0.0) > 0.0  # to another scalar, or to itself
     is_zero = size <= ROUNDING_SHARE * np.sqrt(all_squares)
     without_effect = np.flatnonzero(is_zero & ~is_coupled)
     if len(without_effect):

@@ -62,6 +62,7 @@ def test_small_case_is_measured_and_counted(tmp_path, capsys):
     capsys.readouterr()
     main(words)
     assert capsys.readouterr().out.count("in the records already") == 2
+    assert scaling.RECORDS.is_file()
     main(["--predict", "3000000", "512", "--json", str(file)])
     said = capsys.readouterr().out.splitlines()
     assert len(said) == 3 and "classical, the paper's choices: " in said[-1], said

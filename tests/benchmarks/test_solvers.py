@@ -81,7 +81,7 @@ def test_block_is_clamped_on_five_faces():
     agree((free.reshape(-1, 3) == inside[:, None]).all())
 
 
-def test_rounds():
+def test_record_is_that_of_the_median_round():
     """The record of the median round, with the seconds of all."""
     words = [*SMALL, "--degree", "1", "--rounds", "3", "--solvers", "mumps,gamg"]
     for record in main(words):
@@ -102,7 +102,7 @@ def test_loaded_body(tmp_path):
 
 
 @pytest.mark.serial
-def test_vessel(tmp_path):
+def test_vessel_is_solved_on_its_coarsest_mesh(tmp_path):
     """It has the coarsest mesh that can be generated."""
     pytest.importorskip("gmsh")
     words = ["--geometry", "vessel", "--dofs", "50000", "--folder", str(tmp_path)]
@@ -111,7 +111,7 @@ def test_vessel(tmp_path):
     small(record["relative_residual"], 1e-8)
 
 
-def test_path():
+def test_path_solves_the_same_systems_with_feti_and_mumps():
     """One Newton's method; FETI and MUMPS solve the same systems."""
     feti, mumps = main([*SMALL, "--path", "2", "--kappa", "10"])
     agree([feti["solver"], mumps["solver"]] == ["feti", "mumps"])

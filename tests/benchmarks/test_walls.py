@@ -186,7 +186,7 @@ def test_points_do_not_depend_on_the_processes():
 
 
 @pytest.mark.serial
-def test_walls_arrive(tmp_path):
+def test_random_walls_reach_the_target_pressure(tmp_path):
     path = tmp_path / "random_walls.json"
     words = ["--seeds", "3", "--json", str(path)]
     first = random_walls.STUDY.main(words)

@@ -32,7 +32,7 @@ COMM = MPI.COMM_WORLD
 MAX_ENTRIES = 12
 
 
-def agree(ok: object, context: object = "") -> None:
+def agree(ok: object, context: object = None) -> None:
     """Assert on all processes that a condition holds on each, so that no process goes on alone.
 
     A failure shows the condition as it is written in the test, the values of its operands on each
@@ -48,7 +48,8 @@ def agree(ok: object, context: object = "") -> None:
     if not any(fails):
         return
     explanation = explain(caller)  # on all processes: operands may be collective
-    message = f"{explanation}\n    {context}" if context != "" else explanation
+    text = "" if context is None else str(context)
+    message = f"{explanation}\n    {text}" if text else explanation
     _fail_together(fails, message, caller)
 
 

@@ -121,7 +121,7 @@ def test_without_a_direct_solver_there_is_no_difference():
     agree(record["difference_to_direct"] is None and record["converged"])
 
 
-def test_options_stand_back_behind_the_users():
+def test_user_options_take_precedence():
     """The user's options take precedence, also on multigrid levels created at set-up."""
     problem = linear(elasticity(cube(3, 6)))
     A, b = problem.linear_system()
@@ -201,6 +201,13 @@ def test_solver_that_fails_has_a_note(solver, option, value, note):
     agree(not failed.converged and re.search(note, failed.note) and other.converged, found)
     agree(np.isnan(failed.relative_residual) and found.records[0]["converged"] is False)
     agree(failed.note in str(found), str(found))
+
+
+def test_options_of_feti_mixed_with_others_are_refused():
+    """Another solver would run under the name of FETI."""
+    own = {"tight": {"feti_pc_type": "lumped", "ksp_rtol": 1e-12}}
+    with raises(ValueError, r"'tight' mixes options of FETI with others \(ksp_rtol\)"):
+        compare(linear(elasticity(cube(3, 3)), 4), own)
 
 
 def test_feti_that_fails_says_why():
@@ -300,7 +307,7 @@ def test_wrong_solvers(names, kind, match):
         compare(linear(poisson(cube(2, 4)), 3), names)
 
 
-def test_other_problems():
+def test_problems_of_other_types_are_refused():
     """Problems of other types, and with zero load, are refused."""
     with raises(TypeError, "problem is .*: give .*LinearProblem"):
         compare(poisson(cube(2, 4)))
@@ -326,7 +333,7 @@ def skew(K, _dofs):
 
 @pytest.mark.parametrize("held", [True, False])
 @pytest.mark.parametrize("components", [1, 2])
-def test_assembled_system(torn_grid, components, held):
+def test_assembled_system_has_unit_rows_on_dirichlet_dofs(torn_grid, components, held):
     """Dirichlet dofs have unit rows and columns, with values moved to the right; A is unchanged."""
     free = {} if held else {"fixed": lambda x: np.zeros(len(x), dtype=bool)}
     problem = torn_grid((2, 2), (2, 3), components=components, **free)
@@ -352,7 +359,7 @@ def test_assembled_system(torn_grid, components, held):
 
 
 @pytest.mark.parametrize("symmetric", [True, False])
-def test_mumps(torn_grid, symmetric):
+def test_mumps_uses_cholesky_or_lu_by_symmetry(torn_grid, symmetric):
     """MUMPS uses Cholesky or LU by the detected symmetry, and receives its options."""
     problem = torn_grid((2, 2), (2, 2), components=2, change=None if symmetric else skew)
     b = np.random.default_rng(SEED + 1).standard_normal(len(problem.dirichlet))

@@ -24,7 +24,7 @@ from dolfinx_feti.meshes.curved import create_curved_mesh
 
 @pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("kind", [Cell.triangle, Cell.quadrilateral])
-def test_what_is_found(kind, unit, caplog):
+def test_inverted_cells_are_counted_and_located(kind, unit, caplog):
     """Inverted cells are counted and located, also where det F > 0 at all quadrature points."""
     strip = Strip(kind, unit=unit)
     strip.place(strip.u, INVERTED)
@@ -105,7 +105,7 @@ def test_curved_cells():
 
 
 @pytest.mark.parametrize(("degree", "inverted"), [(1, 1), (3, 2)])
-def test_other_degrees(degree, inverted):
+def test_inversions_are_counted_for_other_degrees(degree, inverted):
     """An inversion is counted in each cell of the moved node, for P1 to P3."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", degree, (2,)))

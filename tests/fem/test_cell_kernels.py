@@ -113,7 +113,7 @@ def test_functions_of_several_forms(order):
         require_equal(form, values, 1e-13)
 
 
-def test_regions_and_the_rest():
+def test_tagged_integrals_contribute_on_their_cells_only():
     """Integrals over tags contribute on their cells only, and on each of several tags."""
     mesh = cube(2, 2)
     u = displacement(mesh, 1)
@@ -145,7 +145,7 @@ def at_points(mesh: dolfinx.mesh.Mesh, shape: tuple[int, ...]) -> dolfinx.fem.Fu
 @pytest.mark.parametrize(
     "what", ["second derivative", "size of cells", "Bessel", "edge element", "quadrature element"]
 )
-def test_what_only_ffcx_compiles(what):
+def test_unsupported_forms_are_compiled_by_ffcx(what):
     """Forms that the generator does not support are compiled by FFCx, with dolfinx's values."""
     mesh = cube(2, 3)
     u = displacement(mesh, 2)
@@ -167,7 +167,7 @@ def test_what_only_ffcx_compiles(what):
         require_equal(form, values, 1e-13)
 
 
-def test_surfaces_of_cells():
+def test_facet_integrals_are_added_to_their_cells():
     """Exterior facet integrals are added to the values of their cells."""
     u = displacement(cube(3, 2), 1)
     v = ufl.TestFunction(u.function_space)
@@ -182,7 +182,7 @@ def tensors(forms: list[ufl.Form], mesh: dolfinx.mesh.Mesh) -> Callable[[], list
     return CellwiseForms(forms, mesh, Compiler(COMM)).assemble
 
 
-def test_what_is_no_number_stays_none():
+def test_nan_stays_in_the_inverted_cell():
     """An inverted cell has NaN in energy, residual and tangent, and other cells do not."""
     mesh = cube(3, 2)
     energy, F_u, _, K, *_ = artery(mesh, 1, ("DG", 0))

@@ -30,7 +30,7 @@ PARTS = {
 
 @pytest.mark.serial
 @pytest.mark.parametrize("name", PARTS)
-def test_points(name):
+def test_sample_points_lie_inside_the_cell(name):
     """The sample points of a cell are inside, near its vertices and edge midpoints."""
     cell = getattr(basix.CellType, name)
     corners = np.asarray(basix.geometry(cell))

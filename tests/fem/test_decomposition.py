@@ -187,7 +187,7 @@ def test_number_of_subdomains_is_as_asked(subdomains):
 
 
 @pytest.mark.parametrize("components", [1, 3])
-def test_suggested_number(monkeypatch, components):
+def test_suggested_subdomains_are_of_similar_size(monkeypatch, components):
     """The suggested subdomains are of similar size, equally many on each process."""
     mesh = cube(3, 4)
     shape = () if components == 1 else (components,)
@@ -240,7 +240,7 @@ def test_seed_of_a_problem():
 
 
 @pytest.mark.serial
-def test_environment_has_the_last_word(monkeypatch):
+def test_scotch_variables_of_the_user_are_kept(monkeypatch):
     """SCOTCH's variables that the user has set are used, and others are unset afterwards."""
     one, other = VARIABLES
     monkeypatch.setenv(one, "4")

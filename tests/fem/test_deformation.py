@@ -200,7 +200,7 @@ NONE = {
 
 
 @pytest.mark.parametrize("name", NONE)
-def test_nothing_is_certain(name):
+def test_forms_without_finite_strain_have_no_volume_ratio(name):
     """In forms without finite strains no volume ratio is detected."""
     f = Fields()
     form = NONE[name](f, ufl.TestFunction(f.V)) * ufl.dx

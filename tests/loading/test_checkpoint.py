@@ -84,7 +84,7 @@ def state() -> Fields:
     return Fields()
 
 
-def test_round_trip(tmp_path, state):
+def test_checkpoint_restores_state_and_record(tmp_path, state):
     """A checkpoint restores state and record, also on an equal mesh that is created anew."""
     before = [state.set(1.0), state.set(2.0)]
     now = state.set(3.0)
@@ -147,7 +147,7 @@ def test_other_forms_of_another_version(state, version, expected):
         ({}, {"c": 3.0}, "c is not given there and 3.0 here"),
     ],
 )
-def test_another_problem(tmp_path, state, mesh, parameters, match):
+def test_checkpoint_of_another_problem_is_refused(tmp_path, state, mesh, parameters, match):
     """A checkpoint of another problem is refused, with folder and functions unchanged."""
     written(tmp_path, state, 1.0)
     before = content(tmp_path)
@@ -177,7 +177,7 @@ def test_cells_in_another_order(tmp_path):
             checkpoint.read([wrong])
 
 
-def test_what_no_file_holds(tmp_path, state):
+def test_records_that_cannot_be_written_are_refused(tmp_path, state):
     """Parameters and records that cannot be written are refused.
 
     Only the record of the first process is written.
@@ -212,7 +212,7 @@ def test_folders_that_are_refused(tmp_path, state):
 
 
 @pytest.mark.parametrize("damage", ["empty", "short", "flipped", "other"])
-def test_damaged_states(tmp_path, state, damage):
+def test_damaged_states_are_detected_when_opened(tmp_path, state, damage):
     """A damaged state is detected when the folder is opened."""
     written(tmp_path, state, 1.0)
     path = tmp_path / "state.npz"
@@ -239,7 +239,7 @@ def test_damaged_states(tmp_path, state, damage):
 # -- interrupted
 
 
-def test_full_disk(tmp_path):
+def test_full_disk_keeps_the_last_state(tmp_path):
     """A full disk on the first process is an error on all; the last state is kept."""
     state = Fields(8)  # its arrays are not sent before they are received
     none = opened(tmp_path / "none", restart=False)

@@ -222,7 +222,7 @@ class Run:
     growth=st.sampled_from([1.0, 1.5]),
     events=EVENTS,
 )
-def test_sequence(law, gaps, first, growth, events):
+def test_each_step_agrees_with_the_scalar_model(law, gaps, first, growth, events):
     """Each step has the scalar model's state, also after interruptions and restarts."""
     targets = [round(t, 12) for t in np.cumsum(gaps)]
     run = Run(law, targets, first, growth)
@@ -261,7 +261,7 @@ def test_sequence(law, gaps, first, growth, events):
         (Law(None, 0.5, 0.3, 0.1, 0.4), 1),
     ],
 )
-def test_order(law, order):
+def test_scalar_model_converges_with_its_known_order(law, order):
     """The steps of the scalar model converge to its differential equation with their known order.
 
     Long and short steps take turns. Dashpots without inertia are of first order. With it the work
@@ -289,7 +289,7 @@ def test_order(law, order):
 
 @pytest.mark.serial
 @pytest.mark.parametrize("kind", ["equilibria", "inertia"])
-def test_killed_and_restarted(tmp_path, kind):
+def test_killed_path_restarts_with_the_same_steps(tmp_path, kind):
     """A path killed at random restarts on 2, 3 and 1 processes with the scalar model's steps."""
     finish(start(kind, tmp_path / "whole"))
     random = np.random.default_rng(len(kind))

@@ -62,7 +62,7 @@ def test_targets_are_met_exactly_one_after_the_other(create_fake_problem, first,
 
 
 @pytest.mark.parametrize("targets", [[], [0.3], [0.3, 0.3]])
-def test_nothing_is_done_where_one_is_already(create_fake_problem, targets):
+def test_reached_targets_need_no_load_step(create_fake_problem, targets):
     """Targets equal to the present load need no load step."""
     problem = create_fake_problem(start=0.3)
     agree(problem.follow(targets, Steps(first=1.0, least=1.0)) == [] and not problem.attempts)
@@ -77,7 +77,9 @@ def test_nothing_is_done_where_one_is_already(create_fake_problem, targets):
         (9, [1.0, 1.01, 2.01], 0.5, 1.0, [0.5, 0.5, 0.01, 0.5, 0.5]),  # whatever it costs
     ],
 )
-def test_increments(create_fake_problem, cost, targets, first, growth, expected):
+def test_increments_follow_from_cost_growth_and_targets(
+    create_fake_problem, cost, targets, first, growth, expected
+):
     """The increments of a path are those expected from cost, growth and targets."""
     problem = create_fake_problem(cost=lambda increment: cost)
     steps = problem.follow(targets, Steps(first=first, least=0.1, growth=growth, quick=3))
@@ -151,7 +153,9 @@ def test_increment_does_not_grow_in_a_step_that_failed_first(create_fake_problem
         (0.0, 5.0, 0.5, 0.25, 2.0),  # far along the way
     ],
 )
-def test_least_increment(create_fake_problem, start, target, first, least, last):
+def test_path_ends_at_the_least_increment_with_a_remedy(
+    create_fake_problem, start, target, first, least, last
+):
     """At the least increment a path ends in the last equilibrium, with a remedy in its error."""
     problem = create_fake_problem(
         start=start, fails=lambda before, load: abs(load - start) > last - start

@@ -103,7 +103,7 @@ def fixed(dt: float) -> TimeSteps:
 
 
 @pytest.mark.processes(1, 2)
-def test_pulse():
+def test_pulsating_tube_satisfies_the_generalised_alpha_equations():
     """In a pulsating tube with dashpots each generalised-α equation holds, assembled by dolfinx."""
     dt = 5e-5
     dashpot = 5e-3
@@ -190,7 +190,7 @@ def test_initial_acceleration():
 
 @pytest.mark.processes(1, 2)
 @pytest.mark.parametrize(("eta", "tolerance"), [(0.0, 1e-8), (1e-3, 1e-3)])  # kPa s/mm²
-def test_free_flight(eta, tolerance):
+def test_dashpots_slow_a_free_body_exponentially(eta, tolerance):
     """The velocity of a free rigid body with dashpots decays as e^{−ηt/ρ}.
 
     The dashpot dissipates what ½ ρ v² loses. With a mass no subdomain has a kernel.

@@ -86,7 +86,7 @@ COMMON = [
 
 @pytest.mark.parametrize("create", [linear, nonlinear])
 @pytest.mark.parametrize(("name", "wrong", "message"), COMMON)
-def test_common(create, name, wrong, message):
+def test_bad_arguments_of_both_classes_are_named(create, name, wrong, message):
     """Each bad argument raises an error that names it, and ``__del__`` raises no second one."""
     problem = elasticity(cube(2, 4))
     kind = TypeError if message in ("subdomains", "of type.*integers") else ValueError
@@ -120,7 +120,7 @@ SNES = [
     ("create", "name", "wrong", "message"),
     [(c, *o) for c in (linear, nonlinear) for o in OPTIONS] + [(nonlinear, *o) for o in SNES],
 )
-def test_options(create, name, wrong, message):
+def test_bad_options_leave_the_database_unchanged(create, name, wrong, message):
     """A bad option of a call or the command line is an error that leaves the database unchanged."""
     problem = poisson(cube(2, 4))
     before = PETSc.Options().getAll()
@@ -322,7 +322,7 @@ def solid(body):
     return materials.neo_hookean(kinematics.right_cauchy_green(F), c=3.0, J=J), J
 
 
-def test_nothing_is_wrong(body):
+def test_unchanged_arguments_are_valid(body):
     """The arguments that the other tests change are valid when they are unchanged."""
     create(body)
     psi, J = solid(body)
@@ -467,7 +467,7 @@ FORMS = {
 
 
 @each(("wrong", "message"), FORMS)
-def test_forms(body, wrong, message):
+def test_forms_that_do_not_fit_are_refused(body, wrong, message):
     """NonlinearProblem refuses each form that does not fit u, p or its arguments."""
     with raises(TypeError if COMPLEX in message else ValueError, message):
         create(body, **wrong(WallForms(body)))

@@ -133,7 +133,7 @@ def exactly(panel):
 
 @pytest.mark.parametrize("with_J", [False, True], ids=["derived", "J"])
 @pytest.mark.parametrize("order", ["up", "pu", "parts"])
-def test_nearly_incompressible(panel, nearly, order, with_J):
+def test_order_of_blocks_does_not_change_the_solution(panel, nearly, order, with_J):
     """The order of the blocks, and blocks of J, do not change the solution."""
     u, p = panel.functions()
     if order == "parts":
@@ -166,7 +166,7 @@ def test_nearly_incompressible(panel, nearly, order, with_J):
 
 
 @pytest.mark.parametrize("scale", [1.0, -2.5e3], ids=["plain", "scaled"])
-def test_incompressible(panel, exactly, caplog, scale):
+def test_missing_pressure_block_makes_p_a_multiplier(panel, exactly, caplog, scale):
     """Without a p–p block p becomes a multiplier, whatever the scale of its equation."""
     u, p = panel.functions()
     v = ufl.TestFunction(panel.V)
@@ -188,7 +188,7 @@ def test_incompressible(panel, exactly, caplog, scale):
     )
 
 
-def test_penalty(panel, caplog):
+def test_kappa_gives_incompressible_forms_the_solution_of_that_penalty(panel, caplog):
     """With ``kappa=`` the incompressible forms have the solution of that κ, without a warning."""
     kappa = 50.0
     expected = panel.reference(lambda *args: neo_hooke(*args, kappa=kappa))

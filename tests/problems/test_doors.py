@@ -103,7 +103,7 @@ def test_vector_that_is_no_displacement():
     agree(np.all(np.abs(middle - 3.8687) < 0.05), middle)
 
 
-def test_what_tells_a_displacement():
+def test_volume_ratio_is_watched_only_with_finite_strain_kinematics():
     """Det F is watched if the forms contain kinematics of finite strain, and only then."""
     V = dolfinx.fem.functionspace(cube(2, 2), ("Lagrange", 1, (2,)))
     u = dolfinx.fem.Function(V)
@@ -148,7 +148,7 @@ def test_near_null_space_is_the_users(way, nonlinear):
 
 
 @pytest.mark.parametrize("nonlinear", [False, True])
-def test_null_space(nonlinear):
+def test_null_space_gives_the_solution_of_mean_zero(nonlinear):
     """With ``null_space=`` a singular problem in balance has the solution of mean zero."""
     mesh = cube(2, 8)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
@@ -163,7 +163,7 @@ def test_null_space(nonlinear):
     small(np.abs(found.x.array - np.cos(np.pi * points) / np.pi**2).max(), 3e-3)
 
 
-def test_force_at_a_point():
+def test_point_force_is_balanced_by_the_residual():
     """A force added to a dof of the vector is balanced by the residual of the solution."""
     body = elasticity(cube(2, 6))
     problem = create(body.a, body.L, nonlinear=False, bcs=body.bcs)
@@ -186,7 +186,7 @@ def test_force_at_a_point():
 
 
 @pytest.mark.skipif(not has_vertex_integrals(), reason="dolfinx 0.9 has no vertex integrals")
-def test_springs_at_points():
+def test_vertex_integrals_count_each_vertex_once():
     """Vertex integrals count each vertex once, whatever the decomposition."""
     mesh = cube(2, 6)
     V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1, (2,)))
@@ -291,7 +291,7 @@ def test_condensed_linear_problem_beside_scalars():
     small(COMM.allreduce(dolfinx.fem.assemble_scalar(error)), 1e-9)
 
 
-def test_scalars_meet_other_conditions():
+def test_scalars_follow_replaced_conditions():
     """A problem with scalar unknowns uses replaced conditions, and refuses to have no free dof."""
     body = poisson(cube(2, 6))
     V = body.V

@@ -314,7 +314,7 @@ def test_variational_inequalities_by_option(kind):
 
 @pytest.mark.parametrize("solved", [False, True])
 @pytest.mark.parametrize("kind", [*VI, None])
-def test_bounds(kind, solved):
+def test_bounds_on_the_unknown_are_refused(kind, solved):
     """Bounds on the unknown are refused with u unchanged, before and after a solve."""
     body = Diffusion()
     problem = body.problem()

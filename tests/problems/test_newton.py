@@ -28,7 +28,7 @@ Reason = PETSc.SNES.ConvergedReason
 
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("force", [(1.0, -0.5), (1.0, -0.5, 0.3)])
-def test_energy_of_the_users_own(degree, force):
+def test_energy_alone_converges_quadratically(degree, force):
     """An energy alone suffices, and Newton's method converges quadratically."""
     body = block(yeoh, force, degree=degree)
     start = body.residual()
@@ -89,7 +89,7 @@ def test_a_tangent_is_kept_where_it_leads_to_the_end(kappa, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["all_floating", "classical"])
-def test_way_down_from_a_ridge(kind):
+def test_each_step_from_a_ridge_lowers_the_potential(kind):
     """From a ridge each step lowers the potential; the last steps have no shift."""
     u, energy, bcs = two_wells()
     problem = NonlinearProblem(energy, u, bcs, subdomains=6, petsc_options={"feti_type": kind})
@@ -116,7 +116,7 @@ def test_way_down_from_a_ridge(kind):
     agree(all(step.shift > 0.0 for step in problem.history if step.indefinite is None), counts)
 
 
-def test_residual_alone_goes_where_newton_leads():
+def test_residual_alone_takes_no_shift():
     """Without an energy, no shift is applied, and Newton's method may end at a saddle point."""
     u, energy, bcs = two_wells()
     F = ufl.derivative(energy, u, ufl.TestFunction(u.function_space))
@@ -141,7 +141,7 @@ def test_step_is_shortened_before_the_energy_ends(density, watched):
     small(body.residual(), 1e-7 * abs(force[0]))
 
 
-def test_inexact_newton():
+def test_eisenstat_walker_tolerances_save_linear_iterations():
     """The tolerances of Eisenstat and Walker save linear iterations at the same solution."""
     choices = {"snes_ksp_ew": None, "snes_ksp_ew_rtol0": 0.01, "snes_ksp_ew_rtolmax": 0.01}
     states = []
@@ -174,7 +174,7 @@ def test_tolerance_may_refer_to_another_state():
         problem.solve(reference=-1.0)
 
 
-def test_tolerances():
+def test_tolerances_end_a_solve_with_petscs_reasons():
     """Relative and absolute tolerance end a solve with PETSc's converged reasons."""
     runs = []
     for options in ({"snes_rtol": 1e-2}, {"snes_rtol": 1e-9, "snes_atol": 0}, {"snes_atol": 1e-3}):

@@ -89,7 +89,7 @@ def test_load_that_is_no_number():
     agree(problem.solver.getConvergedReason() > 0)
 
 
-def test_too_few_steps():
+def test_step_limit_is_named_and_the_next_solve_continues():
     """The error of too few steps names snes_max_it, and the next solve continues from there."""
     body = block(yeoh, (0.3, 0.1))
     problem = body.problem({"snes_max_it": 2})
@@ -201,7 +201,7 @@ def broken(*_: object, **__: object) -> None:
 
 
 @pytest.mark.parametrize("name", ["form", "Expression"])
-def test_compilation(name, monkeypatch):
+def test_compilation_error_on_one_process_is_raised_on_all(name, monkeypatch):
     """A compilation that fails on the last process raises on all."""
     original = getattr(dolfinx.fem, name)
 
@@ -250,7 +250,7 @@ WORK = [(Condensation, name) for name in ("assemble", "residual", "condense")]
 
 
 @pytest.mark.parametrize(("owner", "name"), [*WORK, (DeformationGradient, "_smallest_on_process")])
-def test_work_of_a_step(owner, name, monkeypatch):
+def test_error_in_a_newton_step_on_one_process_is_raised_on_all(owner, name, monkeypatch):
     """An error on the last process in a part of a Newton step is raised on all."""
     body = wall(tube(), degree=1)
     problem = body.problem(4)
@@ -261,7 +261,7 @@ def test_work_of_a_step(owner, name, monkeypatch):
         problem.solve()
 
 
-def test_potential(monkeypatch):
+def test_error_in_the_potential_restores_the_pressure(monkeypatch):
     """An error in the potential is raised on all, and the pressure has its values from before."""
     body = wall(tube(), degree=1)
     problem = body.problem(4)

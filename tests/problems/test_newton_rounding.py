@@ -80,7 +80,7 @@ ALONE = [pytest.param(*c, marks=pytest.mark.serial) for c in ((1e3, 2), (1e4, 5)
 
 
 @pytest.mark.parametrize(("kappa", "count"), [(1e5, 2), *ALONE])
-def test_slender_beam(kappa, count):
+def test_slender_beam_takes_no_more_tangents_than_the_reference(kappa, count):
     """A slender beam converges with at most the reference's tangents, to the reference's state."""
     pressures = PRESSURE * np.arange(1, count + 1) / 5
     steps = compare(lambda comm: slender(comm, kappa), pressures, kappa)
@@ -133,7 +133,7 @@ def test_residual_above_rounding_is_not_converged(monkeypatch):
     agree(last.residual > 10 * last.floor, last)
 
 
-def test_load_below_rounding_is_said(caplog):
+def test_load_change_below_rounding_causes_a_warning(caplog):
     """A load change below rounding causes a warning that recommends larger steps."""
     body, problem = light_beam()
     problem.solve()

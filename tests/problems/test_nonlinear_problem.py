@@ -159,7 +159,7 @@ def stretched(degree, *, given=None, **metadata):
 
 
 @pytest.mark.parametrize("degree", [1, 2])
-def test_quadrature(degree):
+def test_quadrature_degree_bounds_unstated_degrees(degree):
     """``quadrature_degree=`` bounds the degree of integrals that do not state one."""
     bound = 2 * degree - 1
     other = stretched(degree, quadrature_degree=bound)
@@ -172,7 +172,7 @@ def test_quadrature(degree):
 
 
 @pytest.mark.parametrize(("degree", "expected"), [(1, 10), (2, 33)])
-def test_explosive_quadrature(degree, expected, caplog):
+def test_large_quadrature_degree_of_ufl_causes_a_warning(degree, expected, caplog):
     """For HGO a warning names UFL's degree and recommends a bound; for neo-Hooke there is none."""
     V = dolfinx.fem.functionspace(cube(3, 2), ("Lagrange", degree, (3,)))
     u = dolfinx.fem.Function(V)

@@ -192,7 +192,7 @@ def solve(body: Body, *, path: bool) -> tuple[list[int], list[int], np.ndarray]:
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_law_of_units(name):
+def test_steps_and_solution_do_not_depend_on_units(name):
     """In other units, Newton steps and u are equal, and iterations up to rounding."""
     rng = np.random.default_rng(list(name.encode()))
     body = Body(KINDS[name])
@@ -266,7 +266,7 @@ def inflate(stiffness: float, unit: float, first: float) -> tuple[list[LoadStep]
 
 
 @pytest.mark.parametrize("first", [0.25, 0.1])
-def test_no_crawl(first):
+def test_path_near_the_limit_point_takes_few_newton_steps(first):
     """A path takes at most 22 Newton steps and 600 iterations, in MPa and mm as in Pa and m."""
     found = []
     for stiffness, unit in ((1.0, 1.0), (1e6, 1e-3)):
@@ -282,7 +282,7 @@ def test_no_crawl(first):
 
 
 @pytest.mark.serial
-def test_published_beam():
+def test_tip_of_lands_beam_is_the_documented_one():
     """The tip of Land's beam (2015) on P2–P0 has the z [mm] of docs/beam.md."""
     page = (Path(__file__).parents[2] / "docs/beam.md").read_text(encoding="utf-8")
     body = beam(kappa=1000.0, cells=(20, 2, 2))

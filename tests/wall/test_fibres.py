@@ -129,7 +129,7 @@ def test_surfaces_by_other_names(tmp_path):
 
 
 @pytest.mark.parametrize("quarter", [False, True])
-def test_tube(tmp_path, quarter):
+def test_frame_of_a_tube_is_cylindrical(tmp_path, quarter):
     """In a tube the frame is e_θ, e_z, e_r, up to the angle of its polygon."""
     errors = []
     for around in (12, 24, 48):
@@ -144,7 +144,7 @@ def test_tube(tmp_path, quarter):
     agree(fine.max() < 2.5, errors)
 
 
-def test_slivers(tmp_path):
+def test_laplace_problems_on_flat_cells_are_solved(tmp_path):
     """On flat cells, where CG fails, MUMPS solves the Laplace problems to rounding."""
     wall = tube_wall(tmp_path, size=0.2, length=1.0)
     z = wall.mesh.geometry.x[:, 2]

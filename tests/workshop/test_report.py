@@ -246,7 +246,7 @@ def test_random_states(incompressible):
 # -- the report --------------------------------------------------------------------------------
 
 
-def test_text():
+def test_report_prints_each_check_with_its_outcome():
     """The report prints each check with its outcome."""
     report = check(material(energies.neo_hookean, kappa=1000.0, c=C), n=5)
     lines = str(report).splitlines()
@@ -423,7 +423,7 @@ def test_eigenvalue_of_rounding_is_zero(shear, lost):
     ],
     ids=["root", "no-equilibrium", "elliptic", "rest"],
 )
-def test_first_loss(least, value):
+def test_first_loss_is_a_root_or_none(least, value):
     """The first loss is a root between elliptic and other states, or None if there is none."""
     values = np.arange(4.0)
     found = _first_loss(lambda x: 3.0 - 2.0 * x, values, np.array(least), zero=1e-12)

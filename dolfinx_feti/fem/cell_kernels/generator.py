@@ -202,7 +202,9 @@ def _try_to_generate(
     except UnsupportedIntegrandError as error:
         _log.debug("FFCx compiles cell integrals: %s", error)
         return _Generated(None)
-    except Exception as error:  # private parts of another version may raise any error
+    except Exception as error:
+        # Private parts of another version may raise any error. An error of this package is hidden,
+        # too: the log shows it at the level DEBUG.
         _log.debug("FFCx compiles cell integrals: %r", error)
         if _simple_forms_are_generated(forms, mesh):
             return _Generated(None)

@@ -45,7 +45,7 @@ class EnergyTolerances:
 #: 1e-10 is far above it. It has to be below the energy in which independent columns differ: with
 #: 1e-6, a plate of t/L = 1/1000 takes 1900 iterations instead of 34; with 1e-11 it takes 34, too.
 #: Eliminating the neighbours' columns reduces a pivot further: one that is kept by the first
-#: tolerance must not be dropped by the second, which is therefore smaller. With a high contrast both
+#: tolerance must not be dropped by the second, which is therefore smaller. At a high contrast both
 #: are equal, because rounding leaves no room between them.
 LOW_CONTRAST_TOLERANCES = EnergyTolerances(zero_energy=1e-10, zero_pivot=1e-11)
 

@@ -27,7 +27,7 @@ class Start:
     #: Upper bound of the ‖r⁰‖ that the relative tolerance refers to, such as ‖r‖ of the last
     #: equilibrium under the new load.
     reference_norm: float = np.inf
-    follows_equilibrium: bool = False  # True on a path: the caller comes from an equilibrium
+    follows_equilibrium: bool = False  # the caller comes from an equilibrium, and gave reference=
     tangent: TangentId | None = None  # of the first step, already in the matrix; None: assemble it
     is_intermediate: bool = False  # ends at a tenth of ‖r⁰‖, as multipliers change afterwards
     allows_early_end: bool = False  # the caller can try another start or a smaller load step

@@ -5,9 +5,11 @@ r"""The states U + α ΔU along a direction, and the work of the free forces alo
 
 .. math:: g(α) = ΔU_f · r_f(U + α ΔU), \qquad g_0 = ΔU_f·(r_f + K_{fD}\, ΔU_D)
 
-f are the free dofs and D the Dirichlet dofs; r_f(U + α ΔU) are forces before fields are condensed
-into them. If no prescribed displacement moves, g_0 is g(0). If one does, g_0 is the work of the
-forces on the free dofs after the Dirichlet dofs have moved, and before the free dofs have.
+f are the free dofs and D the Dirichlet dofs. In g(α), r_f are the forces before fields are
+condensed into them. In g_0 they are the condensed ones, so that g_0 is the slope of Π(u, p(u)).
+Without condensed fields, and if no prescribed displacement moves, g_0 is g(0). If one moves, g_0 is
+the work of the forces on the free dofs after the Dirichlet dofs have moved, and before the free
+dofs have.
 
 With scalars the force B Δs of their increments does work as well, and ΔU alone need not lead
 downhill. Then :math:`g_0 = -|ΔU_f·(r_f + K_{fD} ΔU_D)| - |ΔU_f·B Δs|`, the size of both works.

@@ -106,7 +106,9 @@ class Contribution:
         bcs: Dirichlet conditions. Whether a pressure has a potential is tested once, with these
             dofs at zero, or where a trial prestretch moves them (``potential``). A condition that
             prescribes other values of single components on the rim of a surface under pressure may
-            therefore get a wrong potential. All three components may have any values.
+            therefore get a wrong potential: the residual stays right, but the line search compares
+            with a wrong energy. Give such a condition all three components, which may have any
+            values.
         energy: Potential in u [mN mm], negative work of a load for instance; its derivatives are
             added to residual and tangent.
         residual: Internal minus external virtual work of a force without a potential, with a test
