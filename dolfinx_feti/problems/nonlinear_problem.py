@@ -330,7 +330,10 @@ class NonlinearProblem(TornProblem):
         return bool(self._contacts)
 
     def residual_norm(self) -> float:
-        """Return ‖r‖ of the present state under the present load, with λ = p. Collective."""
+        """Return ‖r‖ of the present state under the present load, with λ = p. Collective.
+
+        It sets λ = p, as the next solve does.
+        """
         self._begin_with_present_pressures()
         return norm(self._system.comm, self._system.residual().condensed)
 
@@ -499,7 +502,8 @@ class NonlinearProblem(TornProblem):
         contact are updated in equilibrium: only there is it known which points touch.
         """
         self._contacts.fit_multipliers()
-        reference_norm = min(self.residual_norm(), start.reference_norm)  # with λ = p
+        self._begin_with_present_pressures()  # λ = p
+        reference_norm = min(self.residual_norm(), start.reference_norm)
         constraints: list[MultiplierUpdates] = []
         if self._volume_multipliers is not None:
             # a looser solve does not determine p, and so the volume, any better than its tolerance

@@ -205,7 +205,7 @@ class BorderedSolver:
             succeeded yet.
         """
         elimination = self._elimination
-        if self._springs is None or elimination is None:
+        if self._springs is None or elimination is None or elimination.is_singular:
             return None
         A, _ = ksp.getOperators()
         solver = MatrixSolver(ksp, A)

@@ -260,6 +260,9 @@ def test_dependent_constraints_are_reported(second_column, torn_grid, create_ksp
     B[:, 1] = B[:, 0] if second_column == "twice" else 0.0
     b = np.random.default_rng(1).standard_normal(len(B))
     ksp = create_ksp(problem.A, ksp_rtol=RTOL)
-    solve_bordered(problem, ksp, b, B, B.copy(), D, np.array([0.3, 0.2]))
+    _, _, solver = solve_bordered(problem, ksp, b, B, B.copy(), D, np.array([0.3, 0.2]))
     agree(ksp.getConvergedReason() == Reason.DIVERGED_BREAKDOWN)
     agree("depend on each other" in ksp.getPythonContext().message)
+    rows = slice(*problem.A.getOwnershipRange())
+    r = np.where(problem.dirichlet, 0.0, b)[rows]
+    agree(solver.correction(ksp, r, np.zeros(len(D))) is None)
