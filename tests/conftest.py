@@ -22,7 +22,7 @@ from petsc4py import PETSc
 import hand_torn
 import primal_form
 import pytest
-from collective import agree
+from collective import agree, garbage
 from ids import TYPABLE, id_of
 from problems import Problem, torn
 
@@ -78,7 +78,7 @@ AT_MOST_TWO = [
     )
 ]
 
-#: Meshes of the current test; :func:`clean` destroys PETSc's garbage on their communicators.
+#: Meshes of the current test; :func:`clean` looks for PETSc's garbage on their communicators.
 _meshes: list[dolfinx.mesh.Mesh] = []
 
 
@@ -177,18 +177,17 @@ def collect() -> None:
 
 @pytest.fixture(autouse=True)
 def clean() -> Iterator[None]:
-    """Fail if a test leaves PETSc options; destroy the objects that it has left.
-
-    If Python collects an object whose ``destroy`` is collective, PETSc keeps it as garbage. Tests
-    leave such objects; that solves leave none is tested in ``feti/test_memory.py``.
-    """
+    """Fail if a test leaves PETSc options, or objects whose ``destroy`` is collective."""
     before = PETSc.Options().getAll()
     yield
     collect()
-    for comm in (COMM, *(mesh.comm for mesh in _meshes if mesh.comm.size > 1)):
+    comms = [COMM, *(mesh.comm for mesh in _meshes if mesh.comm.size > 1)]
+    left = [garbage(comm) for comm in comms]
+    for comm in comms:
         PETSc.garbage_cleanup(comm)
     _meshes.clear()
     COMM.Barrier()
+    assert not any(left), "".join(left)
     assert PETSc.Options().getAll() == before
 
 

@@ -12,7 +12,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
@@ -226,13 +226,9 @@ def collect_garbage() -> None:
 
 
 def garbage(comm: MPI.Comm) -> str:
-    """Return PETSc's list of objects that wait for a collective ``destroy``; empty if none do.
-
-    petsc4py prints to ``sys.stdout`` if that is replaced, as pytest does, and to file descriptor 1
-    otherwise.
-    """
+    """Return PETSc's list of objects that wait for a collective ``destroy``; empty if none do."""
     sys.stdout.flush()
-    with redirect_stdout(sys.__stdout__), tempfile.TemporaryFile() as file:
+    with tempfile.TemporaryFile() as file:
         screen = os.dup(1)
         os.dup2(file.fileno(), 1)
         try:
@@ -245,6 +241,5 @@ def garbage(comm: MPI.Comm) -> str:
         file.seek(0)
         text = file.read().decode()
     text = comm.bcast(text)
-    counts = re.findall(r"Total entries: (\d+)", text)
-    assert len(counts) == comm.size, f"PETSc printed no list of its garbage: {text!r}"
-    return text if any(map(int, counts)) else ""
+    entries = sum(map(int, re.findall(r"Total entries: (\d+)", text)))
+    return text if entries else ""
