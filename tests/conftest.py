@@ -81,6 +81,11 @@ AT_MOST_TWO = [
 #: Meshes of the current test; :func:`clean` looks for PETSc's garbage on their communicators.
 _meshes: list[dolfinx.mesh.Mesh] = []
 
+#: PETSc's copies of these communicators. PETSc makes one, collectively, with the first object on a
+#: communicator and frees it with the last: here both happen at the same time on all processes, also
+#: if the collector frees an object earlier on one of them.
+_comms: list[PETSc.Comm] = []
+
 
 def remembered(init: Callable[..., None]) -> Callable[..., None]:
     """Return a constructor of meshes that also appends the mesh to ``_meshes``."""
@@ -89,6 +94,8 @@ def remembered(init: Callable[..., None]) -> Callable[..., None]:
     def remember(mesh: dolfinx.mesh.Mesh, *args: object, **kwargs: object) -> None:
         init(mesh, *args, **kwargs)
         _meshes.append(mesh)
+        if mesh.comm.size > 1:
+            _comms.append(PETSc.Comm(mesh.comm).duplicate())
 
     return remember
 
@@ -186,6 +193,8 @@ def clean() -> Iterator[None]:
     for comm in comms:
         PETSc.garbage_cleanup(comm)
     _meshes.clear()
+    while _comms:
+        _comms.pop().destroy()
     COMM.Barrier()
     assert not any(left), "".join(left)
     assert PETSc.Options().getAll() == before
