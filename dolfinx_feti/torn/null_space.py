@@ -39,6 +39,11 @@ def read_null_space(torn: Torn) -> Array:
     return np.column_stack([torn.tear(column) for column in columns])
 
 
+def has_null_space(torn: Torn) -> bool:
+    """Return True if a null space is attached to A, also on processes without dofs."""
+    return bool(_null_vectors(torn))
+
+
 def _null_vectors(torn: Torn) -> list[Array]:
     """Return the columns of Z, (N,) each; none if no null space is attached."""
     space = torn.A.getNullSpace()

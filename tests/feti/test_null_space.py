@@ -307,3 +307,18 @@ def test_single_subdomains_may_resist_the_null_space(
     if share > 1e-3:
         agree(ksp.getIterationNumber() <= 20)  # no soft field that mixes with Z is deflated
     equal(x, np.linalg.pinv(problem.matrix, rcond=1e-11) @ b, TOLERANCE)
+
+
+@every_formulation
+def test_processes_without_subdomains_solve_beside_a_null_space(formulation, torn_grid, create_ksp):
+    """They have no entry of the null vectors, and take part in the same reductions."""
+    problem = torn_grid((2, 1), (3, 3), fixed=nowhere)
+    Z = np.linalg.qr(problem.modes)[0]
+    vectors = [problem.vector(z) for z in Z.T]
+    problem.A.setNullSpace(PETSc.NullSpace().create(vectors=vectors, comm=COMM))
+    b = random_values(problem)
+    b -= Z @ (Z.T @ b)
+    ksp = create_ksp(problem.A, feti_formulation=formulation, ksp_rtol=RTOL)
+    reason, x = solve(ksp, problem, b)
+    agree(reason > 0, ksp.getPythonContext().message)
+    equal(x, np.linalg.pinv(problem.matrix, rcond=1e-11) @ b, TOLERANCE)

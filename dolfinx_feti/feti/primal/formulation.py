@@ -54,7 +54,7 @@ from dolfinx_feti.feti.subdomain.schur_operator import SchurOperator
 from dolfinx_feti.runtime.arrays import Array
 from dolfinx_feti.runtime.events import event
 from dolfinx_feti.runtime.lifetime import Lifetime
-from dolfinx_feti.torn.null_space import read_null_space
+from dolfinx_feti.torn.null_space import has_null_space
 
 Reason = PETSc.KSP.ConvergedReason
 
@@ -351,7 +351,7 @@ def _require_no_mechanism(
     torn = pattern.torn
     zero_energy_fields = coarse.zero_energy_fields
     count = zero_energy_fields.count()
-    if not count or read_null_space(torn).size or not zero_energy_fields.has_mechanism():
+    if not count or has_null_space(torn) or not zero_energy_fields.has_mechanism():
         return
     fields = np.zeros((torn.n, min(count, MAX_MOTIONS)))
     for j in range(fields.shape[1]):
@@ -383,7 +383,7 @@ def _soft_fields_if_softened(
     inverse = preconditioner.inverse
     if not pattern.is_symmetric or coarse.negative_eigenvalues or not count:
         return None
-    if read_null_space(pattern.torn).size:
+    if has_null_space(pattern.torn):
         return None
     if not _is_softened(inverse, pattern.torn.comm):
         return None
