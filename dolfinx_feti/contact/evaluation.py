@@ -15,6 +15,7 @@ import ufl
 from dolfinx_feti.contact.law import ContactLaw
 from dolfinx_feti.contact.surface import ContactSurface, PointExpression
 from dolfinx_feti.runtime.arrays import Array
+from dolfinx_feti.runtime.collective import total_of
 
 __all__ = ["ContactEvaluation"]
 
@@ -75,8 +76,11 @@ class ContactEvaluation:
 
     def force(self) -> Array:
         """Return the resultant force on the body, ∫ p ∇g dA, (d,). Collective."""
-        local = (self.surface.weighted_areas * self.pressure()) @ self.normals()
-        return np.asarray(self.surface.mesh.comm.allreduce(local))
+        p = self.pressure()
+        is_touching = p > 0.0  # ∇g may be undefined elsewhere, as at the centre of a hollow sphere
+        forces = (self.surface.weighted_areas * p)[is_touching]
+        normals = self.normals()[is_touching]
+        return total_of(forces @ normals, self.surface.mesh.comm)
 
     def area_stretch(self) -> Array:
         """Return da/dA = ‖cof F N‖ at the points, (points,). Collective."""

@@ -195,6 +195,17 @@ def test_values_below_a_plate(law, surface):
     equal(values.pressure(), np.zeros(n), 0.0)
 
 
+def test_points_at_the_centre_of_a_hollow_tool_have_no_force():
+    """∇g is undefined there, but such a point does not touch."""
+    u = displacement()
+    x = surface_of(law_of(half_space((0.0, 1.0), offset=DEPTH), u)).coordinates()
+    points = np.vstack(COMM.allgather(x))
+    law = law_of(sphere(10.0, tuple(points[0]), inside=True), u)
+    values = ContactEvaluation(surface_of(law), law)
+    agree(COMM.allreduce(int(np.isnan(values.normals()).sum())) > 0)
+    equal(values.force(), [0.0, 0.0], 0.0)
+
+
 def test_state_updates_the_multiplier(law, surface):
     """An update of the multiplier sets λ to the contact pressure."""
     values = ContactEvaluation(surface, law)
