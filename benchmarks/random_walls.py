@@ -48,8 +48,8 @@ KAPPA = 1000.0
 #: Newton steps within which the page counts a wall as solved in time.
 MAX_NEWTON_STEPS = 80
 
-#: Exponent k₂ of the fibres in all layers [-], that of ``ArteryParameters``.
-K2 = 0.8393
+#: Exponent k₂ of the fibres in all layers [-].
+K2 = materials.ArteryParameters().k2
 
 #: Names of the layers from the inside; a wall with fewer layers has the first of them.
 LAYERS = ("intima", "media", "adventitia")

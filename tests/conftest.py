@@ -88,7 +88,7 @@ _comms: list[PETSc.Comm] = []
 
 
 def remembered(init: Callable[..., None]) -> Callable[..., None]:
-    """Return a constructor of meshes that also appends the mesh to ``_meshes``."""
+    """Return a constructor of meshes that also adds to ``_meshes`` and ``_comms``. Collective."""
 
     @functools.wraps(init)
     def remember(mesh: dolfinx.mesh.Mesh, *args: object, **kwargs: object) -> None:

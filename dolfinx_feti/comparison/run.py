@@ -255,7 +255,7 @@ def compare(
         solvers: Names from :data:`~dolfinx_feti.comparison.solvers.SOLVERS`, or a dict of names and
             PETSc's options, such as ``{"feti": {}, "amg": {"pc_type": "hypre"}}``; empty options
             mean those of ``SOLVERS``. A solver whose options all begin with ``feti_`` is FETI with
-            these in place of the problem's own, such as
+            the problem's options, which these override, such as
             ``{"dual": {"feti_formulation": "dual"}}``.
         definite: Whether the assembled matrix is symmetric positive definite. This is passed to the
             solvers other than FETI. By default it is True if FETI is among the solvers and proves
@@ -268,8 +268,8 @@ def compare(
         reference for the others if its residual is small.
 
     Raises:
-        ValueError: A solver is unknown, processes have different solvers, or the right-hand side is
-            zero.
+        ValueError: A solver is unknown, there is none, its options mix those of FETI with others,
+            processes have different solvers, or the right-hand side is zero.
     """
     require_type((LinearProblem, NonlinearProblem), problem=problem)
     comm = problem.decomposition.mesh.comm
@@ -514,7 +514,8 @@ def _chosen_solvers(solvers: Sequence[str] | Solvers, comm: MPI.Comm) -> list[So
     """Return the solvers that a user has chosen, in this order. Collective.
 
     Raises:
-        ValueError: A solver is unknown, there is none, or processes have different ones.
+        ValueError: A solver is unknown, there is none, processes have different ones, or the
+            options of one mix those of FETI with others.
     """
     if not isinstance(solvers, Mapping):
         require_sequence(str, solvers=solvers)

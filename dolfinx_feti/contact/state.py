@@ -38,7 +38,7 @@ class ContactState:
     """λ and ε of a contact, which a problem updates from solve to solve."""
 
     def __init__(self, evaluation: ContactEvaluation, traces: Traces) -> None:
-        """Copy the initial λ and ε of the law.
+        """Store the parts of the contact; the law's λ and ε are changed in place.
 
         Args:
             evaluation: Values at the points of the surface.

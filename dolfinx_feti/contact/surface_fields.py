@@ -12,6 +12,7 @@ import basix.ufl
 import dolfinx
 
 from dolfinx_feti.contact.surface import ContactSurface
+from dolfinx_feti.fem.facets import facets_of_pairs
 from dolfinx_feti.runtime import compat
 from dolfinx_feti.runtime.arrays import Array, Indices, Numbers
 
@@ -25,9 +26,7 @@ class SurfaceFields:
         """Create the mesh, and find the point of each dof. Collective."""
         mesh = surface.mesh
         tdim = mesh.topology.dim
-        mesh.topology.create_connectivity(tdim, tdim - 1)
-        links = mesh.topology.connectivity(tdim, tdim - 1)
-        numbers = links.array[links.offsets[surface.facets[:, 0]] + surface.facets[:, 1]]
+        numbers = facets_of_pairs(mesh, surface.facets)
         order = np.argsort(numbers, kind="stable")
         submesh, parents = compat.create_submesh(mesh, tdim - 1, numbers[order])
         cell = getattr(basix.CellType, submesh.topology.cell_name())

@@ -42,7 +42,8 @@ MIN_RATIO = 0.5
 MAX_RATIO = 2.0
 
 #: Share of the cells that may be distorted without a warning. A few cells at a corner of a load or
-#: a support are distorted on any mesh. In an inflated tube with clamped ends 2 % of the cells are.
+#: a support are distorted on any mesh. In an inflated tube with clamped ends 2 to 4 % of the cells
+#: of P2–P0 are.
 MAX_SHARE_DISTORTED = 1e-3
 
 #: Advice on bad cells with a node at which all components of the displacement are prescribed.

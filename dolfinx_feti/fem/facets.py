@@ -101,7 +101,7 @@ class SideGeometry:
     ridge: Numbers
     direction: Array
 
-    def allgather(self, comm: MPI.Comm) -> SideGeometry:
+    def allgather(self, comm: MPI.Intracomm) -> SideGeometry:
         """Return the sides of all processes, in the order of the processes. Collective."""
         parts = (self.facet, self.area, self.midpoint, self.ridge, self.direction)
         return SideGeometry(*(allgather_rows(part, comm) for part in parts))
@@ -161,7 +161,7 @@ def facets_of_pairs(mesh: dolfinx.mesh.Mesh, pairs: Indices) -> Indices:
 
     Args:
         mesh: The mesh.
-        pairs: The pairs, flattened, as :func:`one_side` returns them, (2 n,).
+        pairs: The pairs, (n, 2), or flattened, as :func:`one_side` returns them, (2 n,).
     """
     tdim = mesh.topology.dim
     mesh.topology.create_connectivity(tdim, tdim - 1)
@@ -190,7 +190,7 @@ def _sides(mesh: dolfinx.mesh.Mesh, facets: Integers) -> FacetSides:
     return FacetSides(cell.astype(np.int32), local.astype(np.int32), facets_of_cell[cell, local])
 
 
-def _is_on_side_of_user(sides: FacetSides, side: Integers, comm: MPI.Comm) -> Mask:
+def _is_on_side_of_user(sides: FacetSides, side: Integers, comm: MPI.Intracomm) -> Mask:
     """Return a mask of the sides in the user's cells, (n,). Collective.
 
     A facet of the boundary has one side, which is selected whether its cell is listed or not.
@@ -220,7 +220,7 @@ def _is_on_side_of_user(sides: FacetSides, side: Integers, comm: MPI.Comm) -> Ma
     return np.asarray(is_listed | ~is_interior)
 
 
-def _is_first_side(sides: FacetSides, comm: MPI.Comm) -> Mask:
+def _is_first_side(sides: FacetSides, comm: MPI.Intracomm) -> Mask:
     """Return a mask of the sides that are the first of their facet over all processes, (n,).
 
     Collective.
@@ -230,9 +230,9 @@ def _is_first_side(sides: FacetSides, comm: MPI.Comm) -> Mask:
     return np.isin(np.arange(rows.start, rows.stop), first)
 
 
-def _rows_of_this_process(n: int, comm: MPI.Comm) -> slice:
+def _rows_of_this_process(n: int, comm: MPI.Intracomm) -> slice:
     """Return where n rows of this process are in the result of ``allgather_rows``. Collective."""
-    first = sum(comm.allgather(n)[: comm.rank])
+    first = comm.scan(n) - n
     return slice(first, first + n)
 
 

@@ -27,7 +27,7 @@ SNES_OPTIONS = ("rtol", "atol", "max_it", "monitor", "converged_reason", "view",
 SOLVER_PREFIXES = ("ksp_", "snes_", "feti_")
 
 #: Smallest similarity (difflib's ratio) at which a known option is proposed for one that nothing
-#: has read: 0.94 for ksp_rtoll, 0.8 for snes_tol, and 0.3 for my_size, an option of a script.
+#: has read: 0.94 for ksp_rtoll and snes_tol, and 0.4 for my_size, an option of a script.
 MIN_SIMILARITY = 0.75
 
 

@@ -106,7 +106,7 @@ def _difference_of_forms(there: Mapping[str, Any], here: Mapping[str, Any]) -> s
     The same program can have other forms with another version of dolfinx.
     """
     text = "its forms, such as the energy of a material, or numbers in them, differ"
-    version_there = there.get("dolfinx", "an unknown version")
+    version_there = there.get("dolfinx", "of an unknown version")
     version_here = here["dolfinx"]
     if version_there == version_here:
         return text

@@ -36,11 +36,20 @@ def write_wall_arrays(path: Path, arrays: WallArrays) -> None:
     Raises:
         ValueError: The path has another ending.
     """
+    check_ending(path)
     if path.suffix == ".xdmf":
         write_wall(path, distribute(arrays, MPI.COMM_SELF))
-    elif path.suffix == ".msh":
-        write_msh(path, arrays)
     else:
+        write_msh(path, arrays)
+
+
+def check_ending(path: Path) -> None:
+    """Raise a ValueError if no file of this name can be written.
+
+    Args:
+        path: The file; generators check it before they make a wall.
+    """
+    if path.suffix not in (".xdmf", ".msh"):
         raise ValueError(f"path={str(path)!r}: give a name that ends in .xdmf or .msh")
 
 

@@ -37,7 +37,7 @@ import scipy.sparse.csgraph
 
 from dolfinx_feti.meshes.arguments import count, exit_on_errors, layer_share, positive
 from dolfinx_feti.meshes.bad_columns import improve_tops
-from dolfinx_feti.meshes.files import write_wall_arrays
+from dolfinx_feti.meshes.files import check_ending, write_wall_arrays
 from dolfinx_feti.meshes.layers import Rim, create_sheets, grow_wall
 from dolfinx_feti.meshes.quality import MeshQuality, measure_quality
 from dolfinx_feti.meshes.remesh import remesh
@@ -94,6 +94,7 @@ def write_vessel(
     """
     through = [1] * len(layers) if through is None else list(through)
     _check(layers, through, size=size, thickness=thickness, scale=scale)
+    check_ending(Path(path))
     source = find_surface() if surface is None else Path(surface)
     log.info("remeshing %s with edges of %g mm", source, size)
     corners, triangles = read_stl(source)

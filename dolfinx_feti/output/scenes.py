@@ -89,7 +89,8 @@ def write_scene(
 
     Raises:
         TypeError: ``path`` is no path, or ``panel`` no panel.
-        ValueError: ``viewer`` is zero or not finite. On all processes.
+        ValueError: ``viewer`` is zero or not finite; plane bodies are seen from above, whatever it
+            is. On all processes.
         OSError: The file cannot be written. On all processes.
     """
     require_path_and_panels(path, [panel])

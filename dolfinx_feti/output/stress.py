@@ -76,10 +76,11 @@ def recovered_field(
             f"vector of {dim} components for a stress of shape {(dim, dim)}, and None otherwise."
         )
     data = moments(expression, patches)
-    to_means = FitToMeans(patches)
-    to_values = to_means if _is_constant_in_cells(data, mesh) else FitToValues(patches)
-    field = to_values.recover(data, sweeps=SWEEPS)
+    is_constant = _is_constant_in_cells(data, mesh)
+    fit = FitToMeans(patches) if is_constant else FitToValues(patches)
+    field = fit.recover(data, sweeps=SWEEPS)
     if normal is not None:
+        to_means = FitToMeans(patches)
         n = _unit_normals(normal, patches, to_means)
         T = np.eye(dim) - n[..., :, None] * n[..., None, :]
         along_wall = to_means.recover(data, sweeps=SWEEPS)

@@ -369,7 +369,8 @@ class NewtonSolve:
             plan: How it is taken.
 
         Returns:
-            The iterate at the end of the step, or the given one in these two cases.
+            The iterate at the end of the step, or the given one, with Π if it is known, in these
+            two cases.
 
         Raises:
             NewtonFailure: No direction has a step length.
@@ -397,7 +398,7 @@ class NewtonSolve:
             if trial.alpha > 0.0:
                 return self._accept(trial)
             if iterate.norm <= plan.floor or plan.reuses_tangent:
-                return iterate
+                return replace(iterate, potential=trial.potential)
             origin = replace(origin, potential=trial.potential)
 
     def _linear_tolerances(self, plan: StepPlan) -> AbstractContextManager[None]:

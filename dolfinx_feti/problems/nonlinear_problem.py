@@ -503,7 +503,8 @@ class NonlinearProblem(TornProblem):
         """
         self._contacts.fit_multipliers()
         self._begin_with_present_pressures()  # λ = p
-        reference_norm = min(self.residual_norm(), start.reference_norm)
+        first_norm = norm(self._system.comm, self._system.residual().condensed)
+        reference_norm = min(first_norm, start.reference_norm)
         constraints: list[MultiplierUpdates] = []
         if self._volume_multipliers is not None:
             # a looser solve does not determine p, and so the volume, any better than its tolerance

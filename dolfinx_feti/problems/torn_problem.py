@@ -56,9 +56,9 @@ class ProblemOptions:
 
 #: Warning if u = 0 solves a problem because nothing acts on it; {} is a further remedy.
 _UNLOADED = (
-    "u = 0, as nothing acts on it: all loads are zero, and no condition prescribes another value. "
-    "If there is to be a load, set its value before solve(), and check that facets have the tags "
-    "of its measure, such as ds(1){}."
+    "u = 0, as nothing acts on it: no load acts on a free dof, and no condition prescribes another "
+    "value. If there is to be a load, set its value before solve(), and check that facets have the "
+    "tags of its measure, such as ds(1){}."
 )
 
 
@@ -165,7 +165,7 @@ class TornProblem(ABC):
             self.A.setNearNullSpace(options.near_null_space)
         if options.null_space is not None:
             self.A.setNullSpace(options.null_space)
-        self._has_warned_of_zero = False  # as nothing acted on u in a solve
+        self._is_load_checked = False  # by the first solve
         self.x, self.b = self.A.createVecs()
         for suffix, petsc_object in (("A", self.A), ("x", self.x), ("b", self.b)):
             petsc_object.setOptionsPrefix(f"{self._prefix}{suffix}_")
@@ -210,16 +210,18 @@ class TornProblem(ABC):
         return residual
 
     def _warn_if_unloaded(self, remedy: str = "", *, is_rounding: bool = False) -> None:
-        """Log a warning, once, if a solve has ended at u = 0 without any residual. Collective.
+        """Log a warning if the first solve has ended at u = 0 without any residual. Collective.
+
+        Later solves may be at zero load on purpose.
 
         Args:
             remedy: A further remedy.
             is_rounding: Whether the residual at u = 0 is known to be rounding.
         """
-        if self._has_warned_of_zero:
+        if self._is_load_checked:
             return
+        self._is_load_checked = True
         if self.x.norm() == 0.0 and (is_rounding or self.b.norm() == 0.0):
-            self._has_warned_of_zero = True
             warn(_UNLOADED.format(remedy), self._system.comm)
 
     def reaction(self, facets: npt.ArrayLike, *, point: npt.ArrayLike | None = None) -> Reaction:

@@ -194,8 +194,8 @@ def warn(text: str, comm: MPI.Comm) -> None:
         logger.warning(text)
 
 
-#: Earlier name of :func:`on_root`, kept for programs that import it; not used in this package.
+#: Another name of :func:`on_root`, for programs that import it; not used in this package.
 on_first = on_root
 
-#: Earlier name of :func:`error_message`, likewise.
+#: Another name of :func:`error_message`, likewise.
 reason = error_message

@@ -201,8 +201,8 @@ class BorderedSolver:
             c: Residual d − Cᵀ x − D s, (m,).
 
         Returns:
-            Corrections of x, (N,), and s, (m,); None without a preconditioner, or if no solve has
-            succeeded yet.
+            Corrections of x, (N,), and s, (m,); None without a preconditioner, if no solve has
+            succeeded yet, or if S of the last one is singular.
         """
         elimination = self._elimination
         if self._springs is None or elimination is None or elimination.is_singular:

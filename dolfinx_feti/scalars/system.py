@@ -148,7 +148,8 @@ class ScalarSystem:
             c: Residuals of the equations, (m,).
 
         Returns:
-            Δu, (N,), and Δs, (m,); None without a preconditioner or border.
+            Δu, (N,), and Δs, (m,); None without a preconditioner or border, or if the border's
+            matrix S was singular.
         """
         if self.size:
             return self._solver.correction(ksp, -r, -c)

@@ -405,10 +405,9 @@ BROKEN_CASES = [
     ),
 ]
 
-#: By the name of a file: a function that writes it into a folder and returns its path, and a
-#: pattern of the error.
-BROKEN: dict[str, tuple[Callable[[Path], Path], str]] = {
-    file.name: (file.write_into, file.match)
+#: All of them by their names.
+BROKEN: dict[str, BrokenFile] = {
+    file.name: file
     for file in (
         *TEXT_FILES,
         *CHANGED_MESHES,

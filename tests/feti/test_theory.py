@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 import paper_cube
 import pytest
-from cases import case, each, every_type
+from cases import case, each, every_q, every_type
 from collective import agree, dense, equal, matrix_of_map, small, whole
 from hand_torn import random_values, solve, solve_and_check
 
@@ -127,7 +127,7 @@ def test_no_eigenvalue_below_one(grid, kind, torn_grid, create_ksp):
 
 
 @pytest.mark.parametrize("grid", [GRIDS["cross points"], GRIDS["plane strain"]])
-@pytest.mark.parametrize("q", ["preconditioner", "diagonal", "identity"])
+@every_q
 @every_pc
 def test_ritz_values_lie_in_the_dense_spectrum(
     grid, q, pc_type, torn_grid, create_dual, create_ksp

@@ -225,8 +225,10 @@ def test_dashpot_refuses_u_as_its_last_displacement():
 def problem_after_motion(block: Block, *more: ufl.Form, rate: float = 0.0) -> NonlinearProblem:
     """Return the problem of a block after a motion whose Motion is deleted.
 
-    Args: block: The block, which has swung for two steps. more: Further terms of its energy, such
-    as dashpots. rate: Factor of the motion's velocity in the residual.
+    Args:
+        block: The block.
+        more: Further terms of its energy, such as dashpots.
+        rate: Factor of the motion's velocity in the residual.
     """
     motion = Motion(block.u, 1e-3)
     v = ufl.TestFunction(block.V)

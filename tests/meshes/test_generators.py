@@ -121,9 +121,11 @@ def test_wrong_values(tmp_path, create, options, message):
 
 
 def test_other_formats_are_refused(tmp_path):
-    """A file name with another ending than .msh is refused."""
+    """A file name that ends neither in .xdmf nor in .msh is refused, before a wall is made."""
     with raises(ValueError, r"t\.vtu.*ends in \.xdmf or \.msh"):
         tube.write_tube(tmp_path / "t.vtu", size=0.4)
+    with raises(ValueError, r"v\.vtu.*ends in \.xdmf or \.msh"):
+        vessel.write_vessel(tmp_path / "v.vtu", surface=tmp_path / "missing.stl")
     agree(not list(tmp_path.iterdir()))
 
 

@@ -104,6 +104,15 @@ def test_direction_to_the_viewer_that_is_none(x_squared, tmp_path, viewer):
     agree(not list(tmp_path.iterdir()), list(tmp_path.iterdir()))
 
 
+def test_scene_with_arguments_in_another_order(x_squared, tmp_path):
+    """A panel in place of the path, and a Function in place of a panel, are refused."""
+    panel = pictures.field(x_squared, "x²")
+    with raises(TypeError, "path is FieldPanel.*give the name of the file first"):
+        scenes.write_scene(panel, tmp_path / "box.html")
+    with raises(TypeError, "is no panel: give the result of field"):
+        scenes.write_scene(tmp_path / "box.html", x_squared)
+
+
 def test_scene_of_a_plane_body(tmp_path):
     """A plane body is seen from above, without shading."""
     mesh = dolfinx.mesh.create_unit_square(COMM, 4, 4)

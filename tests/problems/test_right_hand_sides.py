@@ -142,3 +142,22 @@ def test_load_that_looks_like_a_lifted_one(caplog):
     b.set(1.0)
     solved(problem.solver, b)
     agree(not logged_messages(caplog), logged_messages(caplog))
+
+
+@pytest.mark.parametrize(
+    ("loads", "warnings"), [((0.0, 0.0), 1), ((1.0, 0.0), 0)], ids=["none", "later-none"]
+)
+def test_first_solve_without_a_load_warns(loads, warnings, caplog):
+    """A later load may be zero on purpose."""
+    mesh = cube(2, 4)
+    V = dolfinx.fem.functionspace(mesh, ("Lagrange", 1))
+    v = ufl.TestFunction(V)
+    load = dolfinx.fem.Constant(mesh, 0.0)
+    a = ufl.inner(ufl.grad(ufl.TrialFunction(V)), ufl.grad(v)) * ufl.dx
+    problem = LinearProblem(a, load * v * ufl.dx, bcs=[dirichlet(V, left)], subdomains=4)
+    for value in loads:
+        load.value = value
+        problem.solve()
+    messages = [text for text in logged_messages(caplog) if "nothing acts on it" in text]
+    agree(len(messages) == warnings, messages)
+    agree(not any("boundary=" in text for text in messages), messages)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 from cases import case
-from collective import agree, collect_garbage, equal, small, whole
+from collective import agree, equal, small, whole
 from hand_torn import softened
 
 from dolfinx_feti import FETI
@@ -249,7 +249,6 @@ def test_error_in_a_solve_for_a_column_restores_the_tolerances(torn_grid, create
     with pytest.raises(PETSc.Error):
         solve_bordered(problem, ksp, b, B, C, D, np.array([0.3]))
     agree(ksp.getTolerances() == before, f"{ksp.getTolerances()} instead of {before}")
-    collect_garbage()
 
 
 @pytest.mark.parametrize("second_column", ["twice", "nothing"])

@@ -246,7 +246,7 @@ def tube_at_the_end(impedance, inertia):
 @pytest.mark.parametrize("impedance", [0.0, Z])
 @pytest.mark.parametrize("inertia", [False, True])
 def test_tube_with_a_windkessel_has_second_order(inertia, impedance):
-    """Half the step gives a quarter of the error, and the last run agrees with the closed form."""
+    """Half the step gives a quarter of the error, and the last run agrees with the ODEs."""
     runs = [
         follow_beat(0.2 / n, inertia=inertia, impedance=impedance, targets=[0.2])[0][:, 1:]
         for n in (10, 20, 40)

@@ -347,12 +347,12 @@ def test_missing_package(tmp_path, monkeypatch, package, name):
 @pytest.mark.parametrize("name", BROKEN)
 def test_broken(tmp_path, name):
     """A broken file is an error of one line that names the file."""
-    write, match = BROKEN[name]
-    path = on_first(lambda: write(tmp_path))
+    file = BROKEN[name]
+    path = on_first(lambda: file.write_into(tmp_path))
     with pytest.raises((ValueError, OSError)) as caught:
         (read_case if path.suffix == ".toml" else read_wall)(path, COMM)
     agree(name in str(caught.value), caught.value)
-    with raises(type(caught.value), match):
+    with raises(type(caught.value), file.match):
         raise caught.value
 
 

@@ -11,7 +11,8 @@
 ``form_content``         Functions, Constants and a signature, for a checkpoint
 =======================  ==========================================================================
 
-``problems`` calls them before it compiles the forms.
+``problems`` calls ``checks`` and ``deformation`` before it compiles the forms;
+``forgotten_pressures`` compiles forms of its own, and ``form_content`` serves ``loading``.
 
 In the order of the data: checks, random_fields, deformation, forgotten_pressures, form_content.
 """

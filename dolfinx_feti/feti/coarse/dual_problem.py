@@ -239,11 +239,14 @@ def _add_weighted_columns(
     Returns:
         M G, and the sum N + Gᵀ M G, (N_c, N_c); the caller destroys both.
     """
-    with Lifetime() as temporary:
+    with Lifetime() as temporary, Lifetime() as results:
         temporary.own(N)
         MG, G_MG = compute_weighted_columns(preconditioner, delta, inverse)
+        results.own(MG)
+        results.own(G_MG)
         # Gᵀ M G couples more subdomains than N: N is added to it, and not vice versa.
         G_MG.axpy(1.0, N, structure=Structure.DIFFERENT_NONZERO_PATTERN)
+        results.release()  # the caller owns them
     return MG, G_MG
 
 

@@ -10,8 +10,9 @@ writes A_Γ and x_Γ for those of the interface. V stands for V B, with the inde
 of coarse vectors (``coarse.energy``), and A₀⁻¹ e for B A₀⁻¹ Bᵀ e.
 
 A solve begins in ``formulation`` and iterates in ``krylov`` on the operators of ``system``;
-``ritz_vectors`` are then computed, by which ``deflation`` speeds up later solves. A first solve may
-be deflated by ``soft_fields``. The coarse space is in ``coarse/``.
+``ritz_vectors`` are then computed, by which ``deflation`` speeds up later solves. A solve without
+Ritz vectors of an earlier one may be deflated by ``soft_fields``. The coarse space is in
+``coarse/``.
 
 Comments on constants name one set of measurements. The *artery path* is that of the demo's artery
 (45 000 dofs, 32 subdomains) to a pressure of 10 mmHg: 36 linear solves, 466 iterations together.

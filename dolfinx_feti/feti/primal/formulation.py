@@ -296,7 +296,8 @@ def create_primal_formulation(
         operator: Schur complements S of the matrix, and K_II⁻¹.
         preconditioner: Preconditioner of the matrix or of an earlier one.
         matrix_objects: Owner of Vᵀ A_Γ and A₀, which destroys them.
-        vectors: Ritz vectors of a solve with an earlier matrix; None for a first solve.
+        vectors: Ritz vectors of a solve with an earlier matrix; None if there are none, as in the
+            first solve of Newton's method and outside of it.
         max_ritz_vectors: Largest number of Ritz vectors that a solve returns for later matrices.
 
     Raises:

@@ -1,9 +1,10 @@
 # Copyright (C) 2026 the dolfinx_feti authors
 #
 # SPDX-License-Identifier: LGPL-3.0-or-later
-r"""Soft fields, by which a first solve is deflated if stress softens the body.
+r"""Soft fields, by which a solve without Ritz vectors is deflated if stress softens the body.
 
-A first solve has no Ritz vectors of an earlier one. Its vectors W are the fields of V of smallest
+The first solve of Newton's method, and each solve outside of it, has no Ritz vectors of an earlier
+one. Its vectors W are the fields of V of smallest
 energy, corrected by the preconditioner,
 
 .. math:: W = M A V c, \qquad A_0\, c = μ\, V^⊤ V c,

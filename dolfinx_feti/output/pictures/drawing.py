@@ -64,7 +64,8 @@ def draw(
 
     Raises:
         TypeError: ``path`` is no path, or one of ``panels`` no panel.
-        ValueError: There is no panel, or ``viewer`` is zero or not finite.
+        ValueError: There is no panel, or ``viewer`` is zero or not finite; plane bodies are seen
+            from above, whatever it is.
         RuntimeError: This machine has neither a display nor a library for drawing without one.
         OSError: The file cannot be written.
 

@@ -56,7 +56,7 @@ def view_of(surfaces: Sequence[BodySurface], viewer: Sequence[float] | None) -> 
             front and above.
 
     Raises:
-        ValueError: ``viewer`` is zero or not finite.
+        ValueError: ``viewer`` is zero or not finite, and the bodies are not plane.
     """
     half_height = max(float(np.linalg.norm(np.ptp(s.points, axis=0))) / 2.0 for s in surfaces)
     if surfaces[0].is_plane:
