@@ -110,7 +110,9 @@ def _relevant_error_floor(accuracy: Accuracy) -> float:
     return accuracy.error_floor
 
 
-def composed_outcome(info: SolveInfo, error_estimate: float, error_tolerance: float) -> SolveInfo:
+def composed_outcome(
+    info: SolveInfo, error_estimate: float, *, total_error_estimate: float, error_tolerance: float
+) -> SolveInfo:
     """Return the outcome of a solution that another solver composed of several converged solves.
 
     ``scalars.bordered`` composes one: it eliminates scalar unknowns, and refines the result while
@@ -119,16 +121,25 @@ def composed_outcome(info: SolveInfo, error_estimate: float, error_tolerance: fl
 
     Args:
         info: How the first solve ended; it converged.
-        error_estimate: η of the composed solution; nan if not measured.
+        error_estimate: η of the composed solution, the largest over the components; nan if not
+            measured.
+        total_error_estimate: η of all of its components together.
         error_tolerance: Tolerance of η.
     """
-    accuracy = replace(info.accuracy, error_estimate=error_estimate, error_floor=np.nan)
+    accuracy = replace(
+        info.accuracy,
+        error_estimate=error_estimate,
+        error_floor=np.nan,
+        total_error_estimate=total_error_estimate,
+    )
     if np.isnan(error_estimate) or error_estimate <= error_tolerance:
         return replace(info, accuracy=accuracy)
-    info = replace(info, accuracy=replace(accuracy, error_floor=error_estimate))
-    if error_estimate <= MAX_ROUNDING_SHARE:
+    accuracy = replace(accuracy, error_floor=error_estimate)
+    info = replace(info, accuracy=accuracy)
+    floor = _relevant_error_floor(accuracy)
+    if floor <= MAX_ROUNDING_SHARE:
         return replace(info, reason=Reason.CONVERGED_HAPPY_BREAKDOWN)
-    message = f"{_error_floor_cause(error_estimate)} (estimated error of x {error_estimate:.2e})."
+    message = f"{_error_floor_cause(floor)} (estimated error of x {error_estimate:.2e})."
     return replace(info, reason=Reason.DIVERGED_BREAKDOWN, message=message)
 
 

@@ -428,23 +428,24 @@ class FETI:
             residual.array[:] = r
             return precondition(formulation, residual)
 
-    def error_of_correction(self, z: Array, references: Sequence[Array]) -> float:
-        """Return η of a correction z, the largest over the components (``accuracy``). Collective.
+    def errors_of_correction(self, z: Array, references: Sequence[Array]) -> tuple[float, float]:
+        """Return the estimated error η by which a correction z changes a solution. Collective.
 
         Args:
             z: The correction, (N,).
             references: Vectors that it is relative to, (N,) each; their squares are added.
 
         Returns:
-            η; nan if nothing is set up.
+            η, the largest over the components (``accuracy``), and η of all components together; nan
+            if nothing is set up.
         """
         formulation = self.formulation
         if formulation is None:
-            return np.nan
+            return np.nan, np.nan
         # A component counts as zero only if it is tiny in all references.
         state = np.abs(references).sum(axis=0)
         norms = ComponentNorms(formulation.pattern.torn).for_state(state)
-        return norms.ratios_of_correction(z, references)[0]
+        return norms.ratios_of_correction(z, references)
 
     def store_outcome(self, ksp: PETSc.KSP, info: SolveInfo, error_tolerance: float) -> None:
         """Store and log the outcome of a solution that was composed of several solves.

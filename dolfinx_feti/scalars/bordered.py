@@ -161,7 +161,12 @@ class BorderedSolver:
         refined = refine(solver, system, elimination, x, s)  # 4.
         residual = max(info.accuracy.residual, columns.relative_residual)
         info = replace(info, accuracy=replace(info.accuracy, residual=residual))
-        outcome = composed_outcome(info, refined.error_estimate, refined.error_tolerance)
+        outcome = composed_outcome(
+            info,
+            refined.error_estimate,
+            total_error_estimate=refined.total_error_estimate,
+            error_tolerance=refined.error_tolerance,
+        )
         return _Solution(refined.x, refined.s, outcome, refined.error_tolerance)
 
     def _solve_for_columns(

@@ -43,12 +43,14 @@ class Refined:
         x: First unknown, (N,).
         s: Scalars, (m,).
         error_estimate: η, the larger one of x and of the scalars; nan if it was not measured.
+        total_error_estimate: The same, with η of all components of x together.
         error_tolerance: Tolerance of η.
     """
 
     x: Array
     s: Array
     error_estimate: float
+    total_error_estimate: float
     error_tolerance: float
 
 
@@ -70,19 +72,19 @@ def refine(
     """
     without_springs = system.border.without_springs
     error_tolerance, second_reference = _error_tolerance(solver, system, s)
-    best = Refined(x, s, np.inf, error_tolerance)
+    best = Refined(x, s, np.inf, np.nan, error_tolerance)
     for _ in range(1 + MAX_REFINEMENTS):
         r, c = system.residual(x, s)
         z = solver.precondition(r)  # z ≈ A⁻¹ r
         if z is None:
             break
         dx, ds = elimination.solve(z, c)
-        η_x = solver.feti.error_of_correction(dx, [x, second_reference])
+        η_x, total_η_x = solver.feti.errors_of_correction(dx, [x, second_reference])
         η_s = elimination.error_of_scalars(without_springs(ds), without_springs(s), x)
         η = max(η_x, η_s)
         has_gained = η <= REFINEMENT_GAIN * best.error_estimate
         if η < best.error_estimate:
-            best = Refined(x, s, η, error_tolerance)
+            best = Refined(x, s, η, max(total_η_x, η_s), error_tolerance)
         if not η > error_tolerance or not has_gained:  # ends also if η is nan
             break
         try:

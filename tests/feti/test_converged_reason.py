@@ -111,17 +111,25 @@ def test_converged_reason_of_each_state(case):
 
 
 @pytest.mark.parametrize(
-    ("error_estimate", "reason"),
+    ("error_estimate", "total", "reason"),
     [
-        (np.nan, Reason.CONVERGED_RTOL),
-        (1e-9, Reason.CONVERGED_RTOL),
-        (SMALL, Reason.CONVERGED_HAPPY_BREAKDOWN),
-        (LARGE, Reason.DIVERGED_BREAKDOWN),
+        (np.nan, np.nan, Reason.CONVERGED_RTOL),
+        (1e-9, 1e-9, Reason.CONVERGED_RTOL),
+        (SMALL, SMALL, Reason.CONVERGED_HAPPY_BREAKDOWN),
+        (LARGE, SMALL, Reason.CONVERGED_HAPPY_BREAKDOWN),
+        (LARGE, LARGE, Reason.DIVERGED_BREAKDOWN),
     ],
 )
-def test_error_of_a_composed_solution_is_rounding_above_its_tolerance(error_estimate, reason):
-    """A large η is a failure with a message, a small one is accepted."""
-    info = composed_outcome(SolveInfo(Reason.CONVERGED_RTOL), error_estimate, 1e-8)
+def test_error_of_a_composed_solution_is_rounding_above_its_tolerance(
+    error_estimate, total, reason
+):
+    """A large η is a failure with a message; a small one, or that of a tiny component, is none."""
+    info = composed_outcome(
+        SolveInfo(Reason.CONVERGED_RTOL),
+        error_estimate,
+        total_error_estimate=total,
+        error_tolerance=1e-8,
+    )
     is_rounding = error_estimate > 1e-8
     assert info.reason == reason
     assert bool(info.message) == (reason < 0)

@@ -191,7 +191,7 @@ class StateError:
         u, _, s = system.state.values()
         change_of_u = u - self._origin.u
         change_of_s = s - self._origin.s
-        error = self._ksp.getPythonContext().error_of_correction(du, [u, change_of_u])
+        error, _ = self._ksp.getPythonContext().errors_of_correction(du, [u, change_of_u])
         size_of_u = np.maximum(np.abs(u), np.abs(change_of_u))
         size_of_s = np.maximum(np.abs(s), np.abs(change_of_s))
         return float(max(error, system.scalars.error_of_scalars(ds, size_of_s, size_of_u)))
